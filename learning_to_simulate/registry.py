@@ -68,7 +68,6 @@ class TrainOptions:
 
     rigid_motion: str | None = None  # override of the scene's
     save_every: int | None = None  # steps between checkpoints; None for a tenth of all
-    take_over_lock: bool = False  # that a process of another machine left
     raw_path: str | None = None  # raw runs, for models on particles; None to decode the records
     initial_weights: str | None = None  # folder of a soil field that another one starts from
 

@@ -70,11 +70,6 @@ _SAVE_EVERY = flags.DEFINE_integer(
 _INITIAL_WEIGHTS = flags.DEFINE_string(
     'initial_weights', None, 'Soil field (folder, or a shipped one) that a soil field starts from.'
 )
-_TAKE_OVER_LOCK = flags.DEFINE_bool(
-    'take_over_lock',
-    False,
-    'Train in a folder that a dead process of another machine left locked.',
-)
 flags.DEFINE_integer('num_threads', None, 'CPU threads of TensorFlow; default: its own choice.', 1)
 
 # Settings of the model. Those that are set often have a flag of their name.
@@ -203,7 +198,6 @@ def run(values) -> None:
             config,
             rigid_motion=_RIGID_MOTION.value,
             save_every=_SAVE_EVERY.value,
-            take_over_lock=_TAKE_OVER_LOCK.value,
             raw_path=_RAW_PATH.value,
             initial_weights=first and shipped.find(first, 'models'),
         )

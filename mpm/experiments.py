@@ -1,6 +1,5 @@
 """A block of soil that is stepped by hand, for checks and tests. All in SI units."""
 
-import dataclasses
 import math
 
 import numpy as np
@@ -10,16 +9,8 @@ from mpm.columns import VOLUME_RATIO, C, S, V
 from mpm.constitutive import Soil, make_soil
 from mpm.grid import Grid, make_grid
 from mpm.motions.drive import poses
-from mpm.scenes import CORNER, EARTH_GRAVITY, Bin, Scene, sampled
+from mpm.scenes import CORNER, EARTH_GRAVITY, Bin
 from mpm.solver import EXCHANGE, Solver
-
-
-def coarse(scene: Scene) -> Scene:
-    """Returns the scene on cubic cells of 4 cm (wheel: 2 cm), with as many particles per cell."""
-    box = scene.bin
-    dx = 0.04 if scene.name == 'excavation' else 0.02
-    size = (box.size[0], box.size[1], math.ceil(box.size[2] / dx) * dx)
-    return dataclasses.replace(scene, bin=sampled(size, dx, dx, 1, box.height, box.bounds))
 
 
 class Experiment:

@@ -5,6 +5,7 @@ and renamed. The manifest is rewritten after every run; a run that it does not l
 has other bytes than it says, does not count as done.
 """
 
+import dataclasses
 import hashlib
 import json
 import os
@@ -13,16 +14,9 @@ import numpy as np
 
 from mpm import scenes
 from mpm.run import RawRun
-from pca_tools.files import read_npz, write_json, write_npz
+from pca_tools import raw_runs
+from pca_tools.files import MANIFEST_NAME, fingerprint, read_json, read_npz, write_json, write_npz
 
-MANIFEST = 'manifest.json'
-# Arrays of a run beside its parameters, and their shapes behind [T] (None: any length).
-_ARRAYS = {
-    'positions': (None, 3), 'rigid_positions': (None, 3), 'force': (3,), 'torque': (3,),
-    'pose': (7,), 'step_context': (None,), 'target': (3,), 'external': (3,),
-    'subframe_force': (None, 3), 'heights': (None, None),
-}  # fmt: skip
-_REQUIRED = ('positions', 'rigid_positions', 'force', 'torque', 'pose')
 # What a run cost depends on the machine and is left out of the digest of its content.
 _COSTS = ('solver_cpu_s',)
 
@@ -40,8 +34,7 @@ def write_run(folder: str, run: RawRun) -> dict:
     return {
         'file': file_name(case),
         'case': case,
-        'bytes': os.path.getsize(path),
-        'sha256': digest(path),
+        **fingerprint(path),
         'content': content_digest(run),
         'parameters': run.parameters,
     }
@@ -49,7 +42,8 @@ def write_run(folder: str, run: RawRun) -> dict:
 
 def arrays_of(run: RawRun) -> dict[str, np.ndarray]:
     """Returns the arrays of a run by name, those that it has."""
-    arrays = {name: getattr(run, name) for name in _ARRAYS}
+    arrays = {field.name: getattr(run, field.name) for field in dataclasses.fields(run)}
+    del arrays['parameters']
     return {name: array for name, array in arrays.items() if array is not None}
 
 
@@ -69,36 +63,16 @@ def content_digest(run: RawRun) -> str:
 
 
 def read_run(path: str) -> RawRun:
-    """Reads one run.
+    """Reads one run of this solver; `pca_tools.raw_runs` is the reader of runs of any origin.
 
     Raises:
         ValueError: if the file is not a raw run.
     """
+    arrays = read_npz(path)
     try:
-        arrays = read_npz(path)
-        run = RawRun(
-            **{name: arrays[name] if name in _REQUIRED else arrays.get(name) for name in _ARRAYS},
-            parameters=json.loads(str(arrays['parameters'])),
-        )
-        for name, values in arrays_of(run).items():
-            fits = values.ndim == 1 + len(_ARRAYS[name]) and all(
-                length in (None, found) for length, found in zip(_ARRAYS[name], values.shape[1:])
-            )
-            if values.dtype.kind != 'f' or not fits or len(values) != len(run.positions):
-                raise ValueError(f'{name} is {values.dtype} {values.shape}')
-            if not np.isfinite(values).all():
-                raise ValueError(f'{name} is not finite')
-        if not isinstance(run.parameters, dict):
-            raise ValueError('parameters is no JSON object')
-    except (KeyError, TypeError, OSError, ValueError, RecursionError) as error:
-        raise ValueError(f'{path} is not a raw run: {error}') from error
-    return run
-
-
-def digest(path: str) -> str:
-    """Returns the sha256 of a file, in hexadecimal."""
-    with open(path, 'rb') as file:
-        return hashlib.file_digest(file, 'sha256').hexdigest()
+        return RawRun(parameters=json.loads(str(arrays.pop('parameters'))), **arrays)
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(f'{path} is not a raw run: {error!r}') from error
 
 
 def write_manifest(folder: str, scene: scenes.Scene, runs: list[dict]) -> None:
@@ -109,7 +83,7 @@ def write_manifest(folder: str, scene: scenes.Scene, runs: list[dict]) -> None:
         'bounds': [list(axis) for axis in scene.bin.bounds],
         'runs': sorted(runs, key=lambda run: run['file']),
     }
-    write_json(os.path.join(folder, MANIFEST), content)
+    write_json(os.path.join(folder, MANIFEST_NAME), content)
 
 
 def read_manifest(folder: str) -> dict | None:
@@ -118,21 +92,11 @@ def read_manifest(folder: str) -> dict | None:
     Raises:
         ValueError: if the manifest is not readable as one.
     """
-    path = os.path.join(folder, MANIFEST)
+    path = os.path.join(folder, MANIFEST_NAME)
     if not os.path.exists(path):
         return None
-    try:
-        with open(path, encoding='utf-8') as file:
-            manifest = json.load(file)
-        manifest['scene']['name'], manifest['dt'], manifest['bounds']
-        for entry in manifest['runs']:
-            if os.path.basename(entry['file']) != entry['file']:
-                raise ValueError(f'{entry["file"]!r} points out of the folder')
-            entry['bytes'] + 0, entry['sha256'] + '', entry['parameters'].keys()
-            if not isinstance(entry['case'], (int, str)):
-                raise ValueError(f'case {entry["case"]!r} is neither a number nor a text')
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise ValueError(f'{path} is not a manifest of raw runs: {error!r}') from error
+    manifest = read_json(path)
+    raw_runs.raise_faults(path, raw_runs.manifest_faults(manifest))
     return manifest
 
 
@@ -158,7 +122,7 @@ def finished_runs(folder: str, scene: scenes.Scene, settings: dict) -> list[dict
     finished = []
     for entry in manifest['runs']:
         for name, value in settings.items():
-            made = entry['parameters'].get(name)
+            made = entry.get('parameters', {}).get(name)
             if made != value:
                 raise ValueError(
                     f'{folder}: {entry["file"]} was made with {name} = {made!r}, not '

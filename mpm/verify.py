@@ -32,10 +32,11 @@ def show(path: str) -> str:
     """Returns the kept checks as text, and which fail."""
     content = rows.read_kept(path)
     checks = rows.checks_of(content)
-    failed = [row['name'] for row in checks if not row['passed']]
+    failed = [f'{row["name"]}, {row["figure"]:.4g}' for row in checks if not row['passed']]
     seconds = sum(entry['cpu_s'] for entry in content.get('entries', {}).values())
     count = f'{len(checks) - len(failed)} of {len(checks)} checks pass; {seconds:.0f} s of CPU'
-    return '\n\n'.join([rows.table(path), count] + ['failed: ' + '; '.join(failed)] * bool(failed))
+    parts = [rows.summary(path), count] + ['failed: ' + '; '.join(failed)] * bool(failed)
+    return '\n\n'.join(parts)
 
 
 if __name__ == '__main__':

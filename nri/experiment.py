@@ -18,13 +18,7 @@ from pca_tools.storage import folder_lock
 HISTORY_FILE, METRICS_FILE = 'history.json', 'metrics.json'
 
 
-def train(
-    data_path: str,
-    model_path: str,
-    config: NriConfig,
-    max_seconds: float | None = None,
-    take_over_lock: bool = False,
-) -> dict:
+def train(data_path: str, model_path: str, config: NriConfig) -> dict:
     """Trains to the last epoch, or resumes; the weights of the best validation loss are kept.
 
     Args:
@@ -32,8 +26,6 @@ def train(
       model_path: folder of the model: config.json, weights.npz (best), history.json (a row per
         epoch), metrics.json (of the kept weights on the test split), ckpt-* and TensorBoard events.
       config: the settings.
-      max_seconds: stop after the epoch in which training has taken this long, in all; or None.
-      take_over_lock: whether a lock that a process of another machine left may be taken.
 
     Returns:
       what metrics.json holds.
@@ -53,13 +45,13 @@ def train(
         except ValueError as error:
             raise ValueError(f'{data.source}: {error}') from error
     trainer = Trainer(model, splits['train'])
-    with folder_lock.locked(model_path, take_over_lock):
+    with folder_lock.locked(model_path):
         _open_folder(model_path, model)
-        history = _run(trainer, splits['valid'], model_path, max_seconds)
+        history = _run(trainer, splits['valid'], model_path)
         return _summary(model_path, trainer, splits['test'], history)
 
 
-def _run(trainer, valid, model_path, max_seconds):
+def _run(trainer, valid, model_path):
     """Trains from the newest checkpoint on; returns the history."""
     model, config = trainer.model, trainer.config
     step = tf.Variable(0, dtype=tf.int64)
@@ -82,8 +74,6 @@ def _run(trainer, valid, model_path, max_seconds):
         tqdm.tqdm(total=trainer.total_steps, initial=int(step), **shown) as bar,
     ):
         while len(history) < config.epochs:
-            if max_seconds and history and history[-1]['seconds'] >= max_seconds:
-                break
             row = _epoch(trainer, valid, history, bar)
             is_best = row['loss'] <= min((r['loss'] for r in history), default=np.inf)
             history.append(row)

@@ -41,10 +41,6 @@ def define_flags():
     """Defines the command line: one flag for each field of `NriConfig`."""
     flags.DEFINE_string('data_path', None, 'Dataset folder or folder of .npy files.', required=True)
     flags.DEFINE_string('model_path', None, 'Model folder; training resumes.', required=True)
-    flags.DEFINE_float('max_minutes', None, 'Stop after the epoch in which this much is over.')
-    flags.DEFINE_bool(
-        'take_over_lock', False, 'Train in a folder that a dead process of another machine locked.'
-    )
     for field in dataclasses.fields(NriConfig):
         if field.name == 'nodes':
             flags.DEFINE_enum('nodes', field.default, data.NODE_KINDS, 'Nodes of a dataset.')
@@ -54,7 +50,6 @@ def define_flags():
 
 
 def main(given):
-    """Reads the flags and trains."""
     fields = [field.name for field in dataclasses.fields(NriConfig)]
     config = NriConfig(**{name: given[name].value for name in fields})
     command.import_tensorflow()  # here, so that neither help nor a refusal waits for it
@@ -62,11 +57,8 @@ def main(given):
 
     from nri import experiment
 
-    seconds = None if given.max_minutes is None else 60.0 * given.max_minutes
     try:
-        experiment.train(
-            given.data_path, given.model_path, config, seconds, given.take_over_lock
-        )
+        experiment.train(given.data_path, given.model_path, config)
     except tf.errors.OpError as error:
         raise ValueError(str(error)) from error
 

@@ -32,7 +32,6 @@ def append(
     data_path: str,
     check_units: bool = True,
     match_particles: bool = False,
-    take_over_lock: bool = False,
 ) -> dict[str, Any]:
     """Adds the runs of a raw folder to a dataset.
 
@@ -41,7 +40,6 @@ def append(
         data_path: a dataset of `convert` with a particle sample; replaced as a whole.
         check_units: of `convert`.
         match_particles: of `convert`.
-        take_over_lock: whether a lock that a process of another machine left may be taken.
 
     Returns:
         The metadata of the larger dataset. Truncation errors are kept for those numbers of modes
@@ -56,7 +54,7 @@ def append(
         OSError: the dataset cannot be written.
     """
     dataset.read_metadata(data_path)  # the lock would make a folder that is absent
-    with folder_lock.locked(data_path, take_over_lock):
+    with folder_lock.locked(data_path):
         encode.refuse_occupied_output(data_path, overwrite=True)
         listed = files.check_manifest(data_path, ())
         held = encode.load(data_path)
@@ -148,21 +146,13 @@ def _are_equal(
 
 
 def define_flags() -> None:
-    """Defines the flags."""
     flags.DEFINE_string('raw_path', None, 'Folder of raw solver runs.', required=True)
     flags.DEFINE_string('data_path', None, 'Dataset that grows.', required=True)
     convert.define_check_flags()
-    flags.DEFINE_bool(
-        'take_over_lock', False, 'Also take the lock that a process of another machine left.'
-    )
 
 
 def main(values) -> None:
-    """Runs the command."""
-    metadata = append(
-        values.raw_path, values.data_path, values.check_units, values.match_particles,
-        values.take_over_lock,
-    )  # fmt: skip
+    metadata = append(values.raw_path, values.data_path, values.check_units, values.match_particles)
     print(convert.summary(metadata, values.data_path))
 
 

@@ -6,10 +6,11 @@ from collections.abc import Callable
 
 from absl import app, flags, logging
 
+_MAX_MESSAGE = 4000  # a message may quote what a file holds
 HELP = ('-h', '--help', '-help', '--helpshort', '--helpfull', '--helpxml')
 
 
-def start(run: Callable, n_argument: int = 0) -> None:
+def start(run: Callable, n_argument: int = 0, usage: str = '') -> None:
     """Runs a command as the main program; its flags are defined already.
 
     A question for help ends with exit code 0. `ValueError`, `OSError` and a package that is not
@@ -20,11 +21,14 @@ def start(run: Callable, n_argument: int = 0) -> None:
         run: called with the values of the flags, and, where it takes arguments, a list of these;
             what it returns is the exit code.
         n_argument: how many arguments that are no flags it takes at most.
+        usage: how it is called, where it does nothing without such an argument.
     """
 
     def main(argv):
         if len(argv) > n_argument + 1:
             sys.exit(f'error: unexpected arguments {argv[n_argument + 1 :]}; flags begin with --')
+        if usage and len(argv) == 1:
+            sys.exit(f'usage: {usage}')
         if not flags.FLAGS['verbosity'].present:  # TensorFlow tells of every checkpoint it writes
             logging.set_verbosity(logging.WARNING)
         try:
@@ -32,8 +36,6 @@ def start(run: Callable, n_argument: int = 0) -> None:
         except ModuleNotFoundError as error:
             sys.exit(f'error: this needs {error.name}, which is not installed')
         except (ValueError, OSError) as error:
-            from pca_tools.storage.messages import printable
-
             logging.debug('stack', exc_info=True)
             sys.exit(f'error: {printable(error)}')
 
@@ -46,7 +48,20 @@ def start(run: Callable, n_argument: int = 0) -> None:
         raise
 
 
-def start_quietly(run: Callable, n_argument: int = 0) -> None:
+def start_quietly(run: Callable, n_argument: int = 0, usage: str = '') -> None:
     """As `start`, of a command in which TensorFlow only reads and writes records."""
     os.environ.setdefault('TF_ENABLE_ONEDNN_OPTS', '0')  # its banner stays away, too
-    start(run, n_argument)
+    start(run, n_argument, usage)
+
+
+def printable(text: object) -> str:
+    """Returns a message as it may be printed: what files and names hold cannot control a terminal.
+
+    Control characters become escapes, line breaks and tabs stay; what is longer than a few
+    thousand characters is cut.
+    """
+    shown = ''.join(
+        character if character.isprintable() or character in '\n\t' else repr(character)[1:-1]
+        for character in str(text)[: _MAX_MESSAGE + 1]
+    )
+    return shown if len(str(text)) <= _MAX_MESSAGE else f'{shown[:_MAX_MESSAGE]} ... (cut)'

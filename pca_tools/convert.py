@@ -206,7 +206,6 @@ def summary(metadata: dict[str, Any], output_path: str) -> str:
 
 
 def define_flags() -> None:
-    """Defines the flags."""
     flags.DEFINE_string('raw_path', None, 'Folder of raw solver runs.', required=True)
     flags.DEFINE_string('output_path', None, 'Folder of the new dataset.')
     flags.DEFINE_integer('num_modes', 8, 'Number of modes r to keep.')
@@ -249,7 +248,6 @@ def define_check_flags() -> None:
 
 
 def main(values) -> None:
-    """Runs the command."""
     if not (values.output_path or values.rehash):
         raise ValueError('--output_path is missing: the folder of the new dataset')
     idle = [f'--{name}' for name in _FLAGS_WITHOUT_LIKE if values[name].present]

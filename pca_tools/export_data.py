@@ -20,7 +20,6 @@ from __future__ import annotations
 
 import functools
 import os
-import sys
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -171,7 +170,6 @@ def _rollouts(paths: Sequence[str], n_modes: int) -> Iterator[tuple]:
 
 
 def define_flags() -> None:
-    """Defines the flags."""
     flags.DEFINE_string('output_path', None, 'Folder of the export.', required=True)
     flags.DEFINE_enum('format', None, sorted(detect.FORMATS), 'Of the export.', required=True)
     flags.DEFINE_string('raw_path', None, 'Raw runs of the dataset, to export their own particles.')
@@ -181,9 +179,6 @@ def define_flags() -> None:
 
 
 def main(values, arguments: Sequence[str]) -> None:
-    """Runs the command."""
-    if not arguments:
-        sys.exit('usage: python -m pca_tools.export_data DATASET --format=... --output_path=...')
     text = export_data(
         arguments[0], values.output_path, values.format, raw_path=values.raw_path,
         rollouts=values.rollouts, splits=values.splits, particle_stride=values.particle_stride,
@@ -193,4 +188,5 @@ def main(values, arguments: Sequence[str]) -> None:
 
 if __name__ == '__main__':
     define_flags()
-    command.start_quietly(main, 1)
+    usage = 'python -m pca_tools.export_data DATASET --format=... --output_path=...'
+    command.start_quietly(main, 1, usage)

@@ -13,6 +13,7 @@ import hashlib
 import json
 import math
 import os
+import struct
 import sys
 import zipfile
 from collections.abc import Iterable, Iterator, Sequence
@@ -20,14 +21,14 @@ from typing import Any
 
 import numpy as np
 
-from pca_tools.storage import archives, messages, text_files, whole_files
+from pca_tools.command import printable as printable
+from pca_tools.storage import whole_files
 
 write_atomically = whole_files.write_file
 write_folder_atomically = whole_files.write_folder
 replace_files = whole_files.replace_files
-write_json = text_files.write_json
-write_text = text_files.write_text
-printable = messages.printable
+write_json = whole_files.write_json
+write_text = whole_files.write_text
 
 MANIFEST_NAME = 'manifest.json'
 # A raw run of 321 frames x 5000 particles is 19 MB; a file we read is never near this.
@@ -35,6 +36,8 @@ MAX_BYTES = 2**30
 # The metadata of 10,000 runs; 60 MB of `[]` would take minutes and gigabytes to parse.
 MAX_JSON_BYTES = 2**25
 _LFS_PREFIX = b'version https://git-lfs'
+_ZIP_END = b'PK\x05\x06'  # of the record that ends an archive; 22 bytes and a comment
+_ZIP_END_BYTES, _MAX_COMMENT, _IN_ZIP64 = 22, 2**16, 2**16 - 1
 
 
 def read_json(path: str) -> Any:
@@ -124,7 +127,7 @@ def opened_npz(path: str, max_bytes: int) -> Iterator[Iterator[tuple[str, Any, i
 
     try:
         with zipfile.ZipFile(path) as archive:
-            archives.refuse_lost_members(path, archive)
+            _refuse_lost_members(path, archive)
             total = sum(member.file_size for member in archive.infolist())
             if total > max_bytes:
                 raise ValueError(f'unpacks to {total} bytes, more than the limit of {max_bytes}')
@@ -134,6 +137,23 @@ def opened_npz(path: str, max_bytes: int) -> Iterator[Iterator[tuple[str, Any, i
             f'{path}: is not a complete .npz file of arrays ({_reason(error)}); copy or make it '
             'again'
         ) from error
+
+
+def _refuse_lost_members(path: str, archive: zipfile.ZipFile) -> None:
+    """Holds the members of an archive against the number that its last record states.
+
+    One flipped bit in the length of a directory entry swallows the entries after it, and every
+    member that is left has a right checksum; `zipfile` reads it without a word.
+    """
+    with open(path, 'rb') as file:
+        file.seek(0, 2)
+        file.seek(max(0, file.tell() - _ZIP_END_BYTES - _MAX_COMMENT))
+        tail = file.read()
+    at = tail.rfind(_ZIP_END)
+    (stated,) = struct.unpack_from('<H', tail, at + 10) if at >= 0 else (0,)
+    found = len(archive.infolist())
+    if stated != _IN_ZIP64 and stated != found:
+        raise ValueError(f'its directory lists {found} members, its end says {stated}')
 
 
 def read_npy(path: str, max_bytes: int = MAX_BYTES) -> np.ndarray:

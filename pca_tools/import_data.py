@@ -20,7 +20,6 @@ Examples:
 from __future__ import annotations
 
 import os
-import sys
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -143,7 +142,6 @@ def _three_bounds(bounds: list[list[float]] | None, scale: float) -> list[list[f
 
 
 def define_flags() -> None:
-    """Defines the flags."""
     flags.DEFINE_string(
         'output_path', None, 'Folder of the new raw runs; without it the data are only named.'
     )
@@ -162,9 +160,6 @@ def define_flags() -> None:
 
 
 def main(values, arguments: Sequence[str]) -> None:
-    """Runs the command."""
-    if not arguments:
-        sys.exit('usage: python -m pca_tools.import_data FOLDER --output_path=RAW')
     if values.output_path is None:
         print(explain(arguments[0], values.format))
         return
@@ -175,4 +170,4 @@ def main(values, arguments: Sequence[str]) -> None:
 
 if __name__ == '__main__':
     define_flags()
-    command.start_quietly(main, 1)
+    command.start_quietly(main, 1, 'python -m pca_tools.import_data FOLDER --output_path=RAW')

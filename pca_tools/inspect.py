@@ -5,7 +5,7 @@ a WARN names a defect that readers live with (all known defects of the authors' 
 
 Examples:
     python -m pca_tools.inspect datasets/Excavation
-    python -m pca_tools.inspect --modes=16 /data/Subspace-Graph-Physics/Excavation_PCA
+    python -m pca_tools.inspect /data/Subspace-Graph-Physics/Excavation_PCA
 """
 
 from __future__ import annotations
@@ -15,12 +15,10 @@ import dataclasses
 import itertools
 import math
 import os
-import sys
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from absl import flags
 
 from pca_tools import command, dataset, files, legacy_pickles, rigid_fit, statistics
 from pca_tools.dataset import Trajectory
@@ -67,7 +65,6 @@ class Inspection:
         splits: split -> readable runs.
         findings: results of all checks.
         n_soil: N, or None if nothing says it.
-        floors: truncation error in m^2 against the number of modes [S + 1], or None.
     """
 
     folder: str
@@ -75,7 +72,6 @@ class Inspection:
     splits: dict[str, list[Trajectory]] = dataclasses.field(default_factory=dict)
     findings: list[Finding] = dataclasses.field(default_factory=list)
     n_soil: int | None = None
-    floors: np.ndarray | None = None
 
     @property
     def runs(self) -> list[Trajectory]:
@@ -397,7 +393,7 @@ def _check_subspace(found: Inspection) -> Findings:
     if name is None:
         return
     space = Subspace.load(os.path.join(found.folder, os.path.basename(name)))
-    found.n_soil, found.floors = space.n_soil, space.projection_floors
+    found.n_soil = space.n_soil
     for what, promised, is_there in (
         ('digest', held['pca'].get('digest'), space.digest),
         ('mode_number', held['mode_number'], space.n_modes),
@@ -431,62 +427,16 @@ def _check_pickles(found: Inspection) -> Findings:
             files.refuse_git_lfs_pointer(vectors)
         except ValueError as error:
             yield WARN, f'{error}; scores cannot be decoded, errors are given in the subspace'
-    name = legacy_pickles.EIGENVALUES_NAME
-    if not os.path.exists(os.path.join(found.folder, name)):
-        return
-    values = legacy_pickles.read_array(os.path.join(found.folder, name))
-    negative = int(np.count_nonzero(values.real < 0))
-    if np.iscomplexobj(values) or negative:
-        yield WARN, (
-            f'{name}: type {values.dtype}, {negative} of {len(values)} values are negative: they '
-            'come from a solver for non-symmetric matrices; negative ones are taken as 0'
-        )
-    found.n_soil = len(values)
-    if found.runs:
-        found.floors, runs = floors_of_eigenvalues(values.real, found.runs)
-        yield WARN, (
-            f'the mode energies of the records fit eigenvalues of {runs:.0f} runs: the published '
-            'modes were fitted on all runs, validation and test included'
-        )
+    values = os.path.join(found.folder, legacy_pickles.EIGENVALUES_NAME)
+    if os.path.exists(values):
+        found.n_soil = len(legacy_pickles.read_array(values))  # one a particle
 
 
-def floors_of_eigenvalues(
-    eigenvalues: np.ndarray, runs: Sequence[Trajectory]
-) -> tuple[np.ndarray, float]:
-    """Turns the published eigenvalues into truncation errors.
-
-    They are those of X^T X / (N - 1) (thesis Algorithm 1), so their sum grows with the number of
-    runs, which is not written anywhere. It follows from the energy of the kept modes in the
-    records.
-
-    Args:
-        eigenvalues: [N], descending; negative ones count as 0.
-        runs: some runs of the same subspace.
-
-    Returns:
-        floors in m^2 for 0..N modes [N + 1], and the number of runs the eigenvalues were summed
-        over.
-    """
-    energies = np.maximum(eigenvalues, 0.0) * (len(eigenvalues) - 1)
-    n_modes, n_rows = runs[0].n_modes, 3 * runs[0].n_frames
-    per_run = np.mean(
-        [np.sum(run.position[:, run.n_rigid :].astype(np.float64) ** 2) for run in runs]
-    )
-    n_runs = float(energies[:n_modes].sum() / per_run)
-    tails = np.concatenate([[energies.sum()], energies.sum() - np.cumsum(energies)])
-    return np.maximum(tails, 0.0) / (n_runs * n_rows * len(eigenvalues)), n_runs
-
-
-def report(found: Inspection, modes: int = 12) -> str:
-    """Returns the report as text: contents, ranges, floors, findings.
-
-    Args:
-        found: of `inspect_folder`.
-        modes: rows of the table of truncation errors.
-    """
+def report(found: Inspection) -> str:
+    """Returns the report of `inspect_folder` as text: contents, ranges, floors, findings."""
     blocks = [found.folder]
     if found.metadata is not None:
-        blocks += [_contents(found), *_floors(found, modes)]
+        blocks += [_contents(found), _floors(found)]
     if found.splits:
         blocks[2:2] = [_kinds(found), _ranges(found), _trivial(found)]
     findings = [f'  {level:<6}{text}' for level, text in found.findings]
@@ -600,45 +550,26 @@ def _trivial(found: Inspection) -> str:
     return '\n'.join([markdown.table(header, rows, aligned=True), *notes])
 
 
-def _floors(found: Inspection, modes: int) -> list[str]:
-    """Truncation error against the number of modes: of the fit by mode, and by split."""
-    tables = []
-    if found.floors is not None:
-        kept = found.metadata['mode_number']
-        counts = sorted({*range(1, min(modes, len(found.floors) - 1) + 1), kept})
-        rows = [
-            (f'{n}{" <- kept" * (n == kept)}', 1e4 * found.floors[n], 1e3 * found.floors[n] ** 0.5)
-            for n in counts
-        ]
-        header = ('modes', 'truncation error [1e-4 m^2]', 'RMS [mm]')
-        tables.append(markdown.table(header, rows, aligned=True))
+def _floors(found: Inspection) -> str:
+    """Truncation error against the number of modes, by split."""
     held = found.metadata.get('projection_floors')
-    if isinstance(held, dict) and isinstance(held.get('modes'), list):
-        rows = [
-            (split, *(1e3 * value**0.5 for value in values))
-            for split, values in held.items()
-            if split != 'modes'
-        ]
-        header = ('RMS that modes leave [mm]', *map(str, held['modes']))
-        tables.append(markdown.table(header, rows, aligned=True))
-    return tables
+    if not isinstance(held, dict) or not isinstance(held.get('modes'), list):
+        return ''
+    rows = [
+        (split, *(1e3 * value**0.5 for value in values))
+        for split, values in held.items()
+        if split != 'modes'
+    ]
+    header = ('RMS that modes leave [mm]', *map(str, held['modes']))
+    return markdown.table(header, rows, aligned=True)
 
 
-def define_flags() -> None:
-    """Defines the flags."""
-    flags.DEFINE_integer('modes', 12, 'Rows of the table of truncation errors.')
-
-
-def main(values, arguments: Sequence[str]) -> int:
-    """Runs the command."""
-    if not arguments:
-        sys.exit('usage: python -m pca_tools.inspect [--modes=12] DATASET')
+def main(_, arguments: Sequence[str]) -> int:
     found = inspect_folder(arguments[0])
-    for line in report(found, values.modes).splitlines():
+    for line in report(found).splitlines():
         print(files.printable(line))
     return int(found.failed)
 
 
 if __name__ == '__main__':
-    define_flags()
-    command.start_quietly(main, 1)
+    command.start_quietly(main, 1, 'python -m pca_tools.inspect DATASET')

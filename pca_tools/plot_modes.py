@@ -14,7 +14,6 @@ Examples:
 from __future__ import annotations
 
 import os
-import sys
 import time
 from collections.abc import Sequence
 
@@ -27,6 +26,10 @@ from pca_tools.metadata import AXES
 from pca_tools.raw_runs import RawRuns
 from pca_tools.storage import markdown
 from pca_tools.subspace import DIM, SUBSPACE_NAME, Subspace
+
+# Of kernel PCA: gamma of the RBF kernel (1/m^2), ridges of the pre-image, a row each; rows (frame x
+# axis) that it is fitted on.
+GAMMA, ALPHAS, KERNEL_ROWS = 0.04, (1.0, 1e-3), 1500
 
 
 def plot_energy_and_error(space: Subspace, path: str) -> None:
@@ -92,16 +95,12 @@ def _save(figure, path: str) -> None:
     files.write_atomically(path, lambda temporary: figure.savefig(temporary, dpi=110, format='png'))
 
 
-def compare_reductions(
-    space: Subspace, runs: RawRuns, gamma: float, alphas: Sequence[float], max_rows: int
-) -> list[dict]:
+def compare_reductions(space: Subspace, runs: RawRuns, max_rows: int) -> list[dict]:
     """Measures PCA and kernel PCA on held-out runs.
 
     Args:
         space: the subspace; its runs are the training runs, all other raw runs are held out.
         runs: the raw runs.
-        gamma: of the RBF kernel, 1/m^2.
-        alphas: ridges of the pre-image, one row each.
         max_rows: rows (frame x axis) of the fit; frames are thinned evenly to this.
 
     Returns:
@@ -129,10 +128,10 @@ def compare_reductions(
             space.n_modes, svd_solver='arpack', random_state=0
         )
     } | {
-        f'kernel PCA of the same (RBF {gamma:g}, ridge {alpha:g})': decomposition.KernelPCA(
-            space.n_modes, kernel='rbf', gamma=gamma, fit_inverse_transform=True, alpha=alpha
+        f'kernel PCA of the same (RBF {GAMMA:g}, ridge {alpha:g})': decomposition.KernelPCA(
+            space.n_modes, kernel='rbf', gamma=GAMMA, fit_inverse_transform=True, alpha=alpha
         )
-        for alpha in alphas
+        for alpha in ALPHAS
     }
     # How each is fitted, encodes and decodes.
     methods = {
@@ -195,28 +194,17 @@ def table(space: Subspace, reductions: Sequence[dict]) -> str:
 
 
 def define_flags() -> None:
-    """Defines the flags."""
     flags.DEFINE_string('output_path', None, 'Folder for pictures and numbers.', required=True)
     flags.DEFINE_string('raw_path', None, 'Raw runs of the dataset, for the kernel PCA row.')
-    flags.DEFINE_float('kernel_gamma', 0.04, 'Gamma of the RBF kernel in 1/m^2.')
-    flags.DEFINE_list('kernel_alpha', ['1', '1e-3'], 'Ridges of the kernel pre-image, a row each.')
-    flags.DEFINE_integer('kernel_rows', 1500, 'Rows (frame x axis) kernel PCA is fitted on.')
 
 
 def main(values, arguments: Sequence[str]) -> None:
-    """Runs the command."""
-    if not arguments:
-        sys.exit('usage: python -m pca_tools.plot_modes DATASET --output_path=PLOTS')
     (folder,), out = arguments, values.output_path
     up_axis = dataset.read_metadata(folder).get('scene', {}).get('up_axis', 1)
     space = Subspace.load(os.path.join(folder, SUBSPACE_NAME))
     reductions: list[dict] = []
     if values.raw_path:
-        alphas = [float(alpha) for alpha in values.kernel_alpha]
-        runs = RawRuns(values.raw_path)
-        reductions = compare_reductions(
-            space, runs, values.kernel_gamma, alphas, values.kernel_rows
-        )
+        reductions = compare_reductions(space, RawRuns(values.raw_path), KERNEL_ROWS)
     os.makedirs(out, exist_ok=True)
     plot_energy_and_error(space, os.path.join(out, 'energy_and_error.png'))
     plot_modes(space, os.path.join(out, 'modes.png'), up_axis)
@@ -232,4 +220,4 @@ def main(values, arguments: Sequence[str]) -> None:
 
 if __name__ == '__main__':
     define_flags()
-    command.start_quietly(main, 1)
+    command.start_quietly(main, 1, 'python -m pca_tools.plot_modes DATASET --output_path=PLOTS')

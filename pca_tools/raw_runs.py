@@ -277,6 +277,7 @@ def manifest_faults(manifest: Any) -> list[str]:
         or ENTRY_KEYS - entry.keys()
         or not isinstance(entry['file'], str)
         or not is_case(entry['case'])
+        or not isinstance(entry.get('parameters', {}), dict)
     ]
     return faults + (wrong or repeated_cases([entry['case'] for entry in runs]))
 

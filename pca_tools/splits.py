@@ -102,11 +102,3 @@ def split_cases(
         'valid': sorted(free[n_test : n_test + n_valid]),
         'test': sorted(forced + free[:n_test]),
     }
-
-
-def spread_over(count: int, limit: int) -> list[int]:
-    """Returns the places of `limit` runs spread over `count`, all of them for 0: files are often
-    sorted by kind."""
-    if not limit or limit >= count:
-        return list(range(count))
-    return [(2 * place + 1) * count // (2 * limit) for place in range(limit)]

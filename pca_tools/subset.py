@@ -7,7 +7,6 @@ so errors of both are of one truth.
 Examples:
     python -m pca_tools.subset --data_path=datasets/excavation --train_runs=28 --output_path=few
     python -m pca_tools.subset --data_path=datasets/excavation --kinds=grid --output_path=grid
-    python -m pca_tools.subset --data_path=whole --kinds=grid:20,lift,stops --output_path=thinned
 
     # judged on these kinds alone, too
     python -m pca_tools.subset --data_path=whole --kinds=grid --every_split --output_path=grid_only
@@ -23,14 +22,13 @@ from absl import flags
 from pca_tools import command, convert, encode
 from pca_tools.encode import EncodedRun
 from pca_tools.metadata import SPLITS
-from pca_tools.splits import spread_over
 
 
 def subset(
     data_path: str,
     output_path: str,
     train_runs: int = 0,
-    kinds: Mapping[str, int] | Sequence[str] = (),
+    kinds: Sequence[str] = (),
     overwrite: bool = False,
     every_split: bool = False,
 ) -> dict[str, Any]:
@@ -40,8 +38,7 @@ def subset(
         data_path: a dataset of `convert` with a particle sample.
         output_path: the smaller one.
         train_runs: how many, spread over those of the kinds; 0: all of them.
-        kinds: of training runs, each with how many of its runs, spread over them; 0 or no number:
-            all of the kind. None: all kinds.
+        kinds: of training runs; none: all.
         overwrite: replace a finished dataset.
         every_split: valid and test, too, hold these kinds alone, all runs of them.
 
@@ -53,28 +50,30 @@ def subset(
         ValueError: no training runs, a kind that the dataset does not have, or fewer runs than are
             asked for; a split without any, or no kinds, with `every_split`.
     """
-    limits = kinds if isinstance(kinds, Mapping) else dict.fromkeys(kinds, 0)
-    if every_split and not limits:
+    if every_split and not kinds:
         raise ValueError('every_split keeps some kinds of runs alone, but no kinds were named')
     encode.refuse_occupied_output(output_path, overwrite)
     whole = encode.load(data_path)
     train = whole.parts.get('train')
     if not train:
         raise ValueError(f'{data_path}: has no training runs to choose from, only {[*whole.parts]}')
-    found = [_kind(run) for run in train]
-    if unknown := limits.keys() - set(found):
-        raise ValueError(f'{data_path}: trains on no {sorted(unknown)}, only {sorted(set(found))}')
-    places = [] if limits else list(range(len(found)))
-    for kind, limit in limits.items():
-        of_kind = [place for place, name in enumerate(found) if name == kind]
-        places += _spread(of_kind, limit, f'{data_path}: runs of the kind {kind}')
-    chosen = _spread(sorted(places), train_runs, f'{data_path}: such training runs')
-    parts = {**whole.parts, 'train': [train[place] for place in chosen]}
+    found = {_kind(run) for run in train}
+    if unknown := set(kinds) - found:
+        raise ValueError(f'{data_path}: trains on no {sorted(unknown)}, only {sorted(found)}')
+    chosen = [run for run in train if not kinds or _kind(run) in kinds]
+    if train_runs > len(chosen):
+        raise ValueError(
+            f'{data_path}: such training runs: there are {len(chosen)}, {train_runs} were asked for'
+        )
+    if train_runs:  # spread over all: files are often sorted by kind
+        places = ((2 * n + 1) * len(chosen) // (2 * train_runs) for n in range(train_runs))
+        chosen = [chosen[place] for place in places]
+    parts = {**whole.parts, 'train': chosen}
     if every_split:
         others = [split for split in parts if split != 'train']
-        parts |= {split: [r for r in parts[split] if _kind(r) in limits] for split in others}
+        parts |= {split: [r for r in parts[split] if _kind(r) in kinds] for split in others}
         if empty := [split for split in others if not parts[split]]:
-            raise ValueError(f'{data_path}: {", ".join(empty)} without a run of {sorted(limits)}')
+            raise ValueError(f'{data_path}: {", ".join(empty)} without a run of {sorted(kinds)}')
     few = whole.with_parts(parts)
     encode.write(output_path, few, overwrite)
     return few.metadata
@@ -109,41 +108,18 @@ def _kind(run: EncodedRun) -> str:
     return run.parameters.get('kind') or 'run'
 
 
-def _spread(places: list[int], limit: int, what: str) -> list[int]:
-    if not 0 <= limit <= len(places):
-        raise ValueError(f'{what}: there are {len(places)}, {limit} were asked for')
-    return [places[n] for n in spread_over(len(places), limit)]
-
-
-def kinds_of(texts: Sequence[str]) -> dict[str, int]:
-    """Returns kind -> number of runs, 0 for all, of texts such as `grid:20` and `lift`.
-
-    Raises:
-        ValueError: a number that is none or not positive, or a kind twice.
-    """
-    limits = {}
-    for text in texts:
-        kind, colon, number = text.partition(':')
-        if kind in limits or (colon and not (number.isdecimal() and int(number))):
-            raise ValueError(f'kinds are named once, as lift or grid:20, got {",".join(texts)}')
-        limits[kind] = int(number or 0)
-    return limits
-
-
 def define_flags() -> None:
-    """Defines the flags."""
     flags.DEFINE_string('data_path', None, 'Dataset folder.', required=True)
     flags.DEFINE_string('output_path', None, 'Folder of the smaller dataset.', required=True)
     flags.DEFINE_integer('train_runs', 0, 'Training runs, spread over all; 0: all.', lower_bound=0)
-    flags.DEFINE_list('kinds', [], 'Kinds of training runs, or grid:20: that many; default: all.')
+    flags.DEFINE_list('kinds', [], 'Kinds of training runs; default: all.')
     flags.DEFINE_bool('every_split', False, 'Only these kinds in valid and test, too.')
     flags.DEFINE_bool('overwrite', False, 'Replace a finished dataset.')
 
 
 def main(values) -> None:
-    """Runs the command."""
     metadata = subset(
-        values.data_path, values.output_path, values.train_runs, kinds_of(values.kinds),
+        values.data_path, values.output_path, values.train_runs, values.kinds,
         values.overwrite, values.every_split,
     )  # fmt: skip
     print(convert.summary(metadata, values.output_path))

@@ -25,7 +25,13 @@ UNPICKLERS = ('legacy_pickles.py',)  # the restricted reader of the authors' arr
 
 # Folder -> project modules it may import beside its own. Only `run_scripts` may import all.
 MAY_IMPORT = {
-    'mpm': ('pca_tools.command', 'pca_tools.files', 'pca_tools.storage', 'pca_tools.workers'),
+    'mpm': (
+        'pca_tools.command',
+        'pca_tools.files',
+        'pca_tools.raw_runs',
+        'pca_tools.storage',
+        'pca_tools.workers',
+    ),
     'pca_tools': (),
     'learning_to_simulate': ('pca_tools',),
     'nri': (
@@ -83,7 +89,7 @@ IMPORTS_WITHOUT = [
             'pca_tools.storage.whole_files',
             'pca_tools.storage.folder_lock',
             'pca_tools.storage.parent',
-            'pca_tools.storage.messages',
+            'pca_tools.command',
         ),
         ('numpy', 'mpm'),
     ),

@@ -156,7 +156,7 @@ def train(data_path, model_path, config, options) -> dict:
     scene = reading_utils.read_scene(data_path, metadata, groups, options.rigid_motion)
     data = checkpoints.data_record(data_path, metadata)
     parts = {'config': dataclasses.asdict(config), 'data': data}
-    with folder_lock.locked(model_path, options.take_over_lock):
+    with folder_lock.locked(model_path):
         if not checkpoints.holds_model(model_path, parts, [ARRAYS_FILE]):
             method = fit(config, data_path, metadata, groups, valid, scene)
             _save(model_path, config, scene, method, groups, metadata, data)

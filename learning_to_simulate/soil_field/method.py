@@ -47,7 +47,7 @@ def train(data_path, model_path, config, options) -> dict:
         data['initial_weights'] = checkpoints.folder_digest(options.initial_weights)
     parts = {'config': dataclasses.asdict(config), 'data': data}
     own = METRICS, checkpoints.WEIGHTS_FILE, TRAINING
-    with folder_lock.locked(model_path, options.take_over_lock):
+    with folder_lock.locked(model_path):
         if not checkpoints.holds_model(model_path, parts, own):
             saved = Saved(model_path, parts, options.save_every or max(config.num_steps // 10, 1))
             valid = _read(folders, 'valid', is_needed=False)

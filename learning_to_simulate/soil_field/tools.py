@@ -1,7 +1,7 @@
 """Tools of a soil field, their scale, and soils.
 
 Dry soil that hardly knows rates has no length of its own: a scene of another size, density or
-gravity is the same scene in other units (`mpm.verification.similarity` checks it on the solver).
+gravity is the same scene in other units (`mpm/README.md` says how far, of the solver).
 So a field works in the units of a tool: lengths in `scale` m, forces in rho g scale^3 of the
 standard soil, times in the root of scale over g. A blade's scale is 1 as long as its width lies
 within those taught, else the factor that brings it there; a wheel's is its radius over 0.1 m.

@@ -59,7 +59,7 @@ def run(training: Training, model_path: str, options: TrainOptions) -> dict:
 
     Ctrl-C or SIGTERM end it after the step at hand, with a checkpoint of that step.
     """
-    with folder_lock.locked(model_path, options.take_over_lock), StopSignals() as stop:
+    with folder_lock.locked(model_path), StopSignals() as stop:
         open_model_path(model_path, training)
         state = training_state.TrainingState(model_path, training.trainer)
         state.remove_leftovers()

@@ -20,7 +20,6 @@ between.
 """
 
 import csv
-import hashlib
 import math
 import os
 import re
@@ -31,6 +30,7 @@ import numpy as np
 from mpm import bodies, scenes
 from mpm.motions.drive import Drive, poses
 from mpm.motions.grid import REST_FRAMES, under_load
+from pca_tools.files import sha256_of_file
 
 COLUMNS = ('time_s', 'x_m', 'y_m', 'angle_deg')
 LOAD, ACROSS = 'load_N', 'z_m'
@@ -171,9 +171,9 @@ def recorded_drive(scene: scenes.Scene, recording: Recording) -> tuple[Drive, di
         x, y, angle_deg, z = (curve(at) for curve in curves)
         return poses(at, x, y, np.radians(angle_deg), z)
 
-    with open(recording.path, 'rb') as file:
-        digest = hashlib.file_digest(file, 'sha256').hexdigest()
-    parameters = {'kind': 'path', 'path_sha256': digest} | ({'tool': tool} if tool else {})
+    parameters = {'kind': 'path', 'path_sha256': sha256_of_file(recording.path)}
+    if tool is not None:
+        parameters['tool'] = tool
     body = None if tool is None else bodies.tool_body(tool)
     if scene.rigid_motion == 'prescribed':
         if body is None:

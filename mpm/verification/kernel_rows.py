@@ -13,7 +13,7 @@ from mpm.constitutive import make_soil, update_stress
 from mpm.experiments import Experiment, blade_in_weightless_soil
 from mpm.scenes import CORNER, EARTH_GRAVITY, PACKING_MU_S, SCENES, Bin, Scene
 from mpm.simulation import Settings
-from mpm.solver import EXCHANGE, make_block
+from mpm.solver import make_block
 from mpm.transfers import keep_elastic, return_elastic
 from mpm.verification import bed, incline
 from mpm.verification.rows import Check
@@ -28,7 +28,7 @@ def rows_of(raw_path: str) -> dict:
     Args:
         raw_path: folder of the raw runs of both scenes; packings are kept there.
     """
-    rows = (free_fall, shear, momentum, incline_flow, incline_exchange, incline_halt)
+    rows = (free_fall, shear, momentum, incline_flow, incline_halt)
     found = {row.__name__: row for row in rows}
     found |= {f'column_{aspect:g}': partial(column, aspect) for aspect in COLUMN_ASPECTS}
     for scene in SCENES.values():
@@ -156,20 +156,6 @@ def incline_flow() -> list[Check]:
         ):
             expected = exact if is_judged else None
             rows.append(Check(f'{name}: {what}', found[key], expected, 0.05, note))
-    return rows
-
-
-def incline_exchange() -> list[Check]:
-    """What the interval of the exchange does to that flow."""
-    rows = []
-    for factor in (0.5, 2.0):
-        found = incline.bagnold(DENSE, 2.0, 4.0, factor * EXCHANGE)
-        for key, what in (
-            ('surface', 'surface speed over closed form'),
-            ('profile', 'profile, RMS over surface speed'),
-        ):
-            name = f'incline, beads: exchange interval x {factor:g}, {what}'
-            rows.append(Check(name, found[key], note='2 to 4 s'))
     return rows
 
 

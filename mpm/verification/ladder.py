@@ -156,28 +156,6 @@ def limit(cells: np.ndarray, drafts: np.ndarray) -> tuple[float, float]:
     return limits[1], (max(limits) - min(limits)) / 2.0
 
 
-def table(path: str) -> str:
-    """Returns the stored ladder as Markdown, each variant beside `cubic`."""
-    rows = []
-    for name, runs in _read(path).items():
-        for variant, found in runs.items() if 'cubic' in runs else ():
-            row = compared(found, runs['cubic'])
-            cell = ' x '.join(f'{1e3 * side:.3g}' for side in found['cell_m'][1:])
-            density = '' if found['density'] is None else f'{found["density"]:.3f}'
-            rows.append((
-                name, variant, cell, f'{1e3 * found["reach_m"]:.2f}',
-                f'{row["draft_N"]:.0f}', f'{row["draft_change"]:+.1%}',
-                f'{row["vertical_N"]:.0f}', f'{row["vertical_change"]:+.1%}',
-                f'{row["force_5_frames"]:.3f}', f'{row["surface_mm"]:.2f}', density,
-                f'{found["cpu_s"]:.0f}',
-            ))  # fmt: skip
-    header = (
-        'case', 'variant', 'cells mm', 'reach mm', 'draft N', 'of the force', 'vertical N',
-        'of the force', 'five frames', 'surface mm', 'density', 'CPU s',
-    )  # fmt: skip
-    return markdown.table(header, rows)
-
-
 def summary(path: str) -> str:
     """Returns the ladder as Markdown, a row for each variant: medians and worst over the cases."""
     rows = []
@@ -209,7 +187,7 @@ def limits(path: str) -> str:
     """Returns, as Markdown, how far the ground truth is from the limit of fine cells."""
     rows = []
     for name, runs in _read(path).items():
-        cells, forces = _over_cells(name, runs)
+        cells, forces = over_cells(name, runs)
         if len(cells) >= 3:
             value, error = limit(cells, forces)
             base = np.mean(runs['base']['force'], axis=0)[CASES[name][2]]
@@ -220,7 +198,7 @@ def limits(path: str) -> str:
     return markdown.table(header, rows)
 
 
-def _over_cells(name, runs):
+def over_cells(name, runs):
     """Cells (m) and mean forces (N) of the variants that differ in the cells alone."""
     names = [n for n in ('cells_0.75', 'base', 'cells_1.5', 'cells_2') if n in runs]
     cells = np.array([runs[n]['cell_m'][0] for n in names])
@@ -231,7 +209,7 @@ def draw(path: str, output: str) -> None:
     """Draws the draft over the size of the cells, of each case over that of the base."""
     figure, ((axes,),) = panels(1, 1, (7, 4.5))
     for name, runs in _read(path).items():
-        cells, forces = _over_cells(name, runs)
+        cells, forces = over_cells(name, runs)
         if len(cells) < 3:
             continue
         axis, at = CASES[name][2], runs['base']['cell_m'][0]
@@ -268,4 +246,4 @@ def jobs(values=None) -> Jobs:
 
 
 if __name__ == '__main__':
-    run_report('ladder', jobs, lambda path: f'{table(path)}\n\n{limits(path)}', draw)
+    run_report('ladder', jobs, lambda path: f'{summary(path)}\n\n{limits(path)}', draw)

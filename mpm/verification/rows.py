@@ -13,9 +13,8 @@ from tqdm import tqdm
 
 from mpm.versions import SOLVER_VERSION
 from pca_tools import command
-from pca_tools.files import read_json
+from pca_tools.files import read_json, write_text
 from pca_tools.storage import markdown
-from pca_tools.storage.text_files import write_text
 
 # Place of a result in the file, as names from the outside in -> function that makes it.
 Jobs = dict[tuple[str, ...], Callable[[], Any]]
@@ -55,26 +54,26 @@ def checks_of(content: dict) -> list[dict]:
     return [row for entry in content.get('entries', {}).values() for row in entry['checks']]
 
 
-def table(path: str) -> str:
-    """Returns the kept checks as Markdown; raises ValueError as `read_kept` does."""
-    rows = []
-    for row in checks_of(read_kept(path)):
-        is_bound = row['expected'] is not None
-        bound = (f'{row["expected"]:.4g}', f'{row["tolerance"]:.2g}') if is_bound else ('', '')
-        rows.append(
-            (row['name'], f'{row["figure"]:.4g}', *bound, '' if row['passed'] else '**fails**')
-        )
-    return markdown.table(('check', 'figure', 'expected', 'within', ''), rows)
+def summary(path: str, only: str = '') -> str:
+    """Returns the kept checks as Markdown, those that check the same of other cases in one row.
 
+    Args:
+        path: JSON file.
+        only: beginnings of the names of entries, with commas, of which those are shown that are
+            judged; default: all checks.
 
-def summary(path: str) -> str:
-    """Returns the kept checks as Markdown, those that check the same of other cases in one row."""
+    Raises:
+        ValueError: as `read_kept`.
+    """
     groups: dict[tuple, list[dict]] = {}
-    for row in checks_of(read_kept(path)):
-        subject, _, what = row['name'].partition(':')
-        # 'excavation 186', 'column collapse, a = 0.5' and 'wheel 122' without their numbers.
-        subject = re.sub(r'(, a =)? [0-9.]+$', '', subject)
-        groups.setdefault((subject, what, row['expected'], row['tolerance']), []).append(row)
+    for name, entry in read_kept(path).get('entries', {}).items():
+        for row in entry['checks'] if name.startswith(tuple(only.split(','))) else ():
+            subject, _, what = row['name'].partition(':')
+            # 'excavation 186', 'column collapse, a = 0.5' and 'wheel 122' without their numbers.
+            subject = re.sub(r'(, a =)? [0-9.]+$', '', subject)
+            if row['expected'] is not None or not only:
+                key = subject, what, row['expected'], row['tolerance']
+                groups.setdefault(key, []).append(row)
     rows = []
     for (subject, what, expected, tolerance), members in groups.items():
         low, high = (f'{f(row["figure"] for row in members):.3g}' for f in (min, max))

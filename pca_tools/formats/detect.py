@@ -64,26 +64,13 @@ def _json(folder: str, name: str) -> dict | None:
 
 
 def _unknown(names: list[str], endings: list[str]) -> str:
-    """Says what was found, with advice where it is known what it is."""
-    if 'meta.json' in names:
-        return (
-            'this looks like a MeshGraphNets dataset (meta.json): meshes, not particles; it cannot '
-            'be imported'
-        )
-    if any(name.startswith('loc_') and name.endswith('.npy') for name in names):
-        return (
-            'these are NRI trajectories (loc_*.npy): nri/ makes and reads such systems; they hold '
-            'no soil to import'
-        )
     if endings:
         return f'holds {names[:5]} but no {METADATA_NAME}, which these formats need'
-    if inside := [name for name in names if name in SPLITS]:
-        return (
-            f'holds the folders {inside}, as NeuralMPM does; it is not known here: write its '
-            'particles as one npz per run with `positions` [T, N, D]'
-        )
     known = ', '.join(sorted(FORMATS))
-    return f'holds {names[:8] or "nothing"}, which is none of the known formats ({known})'
+    return (
+        f'holds {names[:8] or "nothing"}, which is none of the known formats ({known}); write its '
+        'particles as one npz per run with `positions` [T, N, D]'
+    )
 
 
 def explain(kind: str, folder: str) -> str:

@@ -10,10 +10,12 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import errno
+import json
 import os
 import shutil
 import uuid
 from collections.abc import Callable
+from typing import Any
 
 TEMPORARY = '.tmp'
 _OLD = '.old'
@@ -66,6 +68,29 @@ def write_file(path: str, write: Callable[[str], None]) -> None:
         with contextlib.suppress(OSError):
             os.remove(temporary)
     sync_folder(os.path.dirname(path))
+
+
+def write_text(path: str, text: str) -> None:
+    """Writes UTF-8 text, whole or not at all."""
+
+    def write(temporary: str) -> None:
+        with open(temporary, 'w', encoding='utf-8', newline='') as file:
+            file.write(text)
+
+    write_file(path, write)
+
+
+def write_json(path: str, content: Any, indent: int = 2) -> None:
+    """Writes indented JSON, whole or not at all.
+
+    Raises:
+        ValueError: `content` holds NaN or infinity, which JSON does not have.
+    """
+    try:
+        text = json.dumps(content, indent=indent, allow_nan=False)
+    except ValueError as error:
+        raise ValueError(f'{path}: cannot be written as JSON: {error}') from error
+    write_text(path, text + '\n')
 
 
 def write_folder(path: str, fill: Callable[[str], None], replace: bool = True) -> None:

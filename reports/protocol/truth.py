@@ -31,7 +31,7 @@ def errors(tool: str, path: str = LADDER) -> dict:
         if not name.startswith(_SCENES[tool]) or 'cubic' not in runs:
             continue
         compared = ladder.compared(runs['base'], runs['cubic'])
-        cells, forces = ladder._over_cells(name, runs)
+        cells, forces = ladder.over_cells(name, runs)
         base = np.mean(runs['base']['force'], axis=0)[ladder.CASES[name][2]]
         limit = ladder.limit(cells, forces)[0]
         values = name, compared['surface_mm'], compared['force_5_frames'], abs(base / limit - 1.0)

@@ -112,11 +112,12 @@ def _save_results(folder):
 
 
 def _solve(folder, frames=SOLVER_FRAMES, cases=SOLVER_CASES):
-    from mpm import batch, experiments, simulation  # the other tasks do without the solver
+    from mpm import batch, simulation  # the other tasks do without the solver
+    from tests.mpm.small import BLADE
 
     with mock.patch.object(scenes, 'FRAMES', frames):
         batch.generate(
-            experiments.coarse(scenes.EXCAVATION), cases, f'{folder}/solver',
+            BLADE, cases, f'{folder}/solver',
             simulation.Settings(), show_progress=False,
         )  # fmt: skip
 

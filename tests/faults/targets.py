@@ -25,8 +25,7 @@ from learning_to_simulate.soil_field.terrain import Terrain
 from learning_to_simulate.soil_field.tools import Blade
 from learning_to_simulate.subspace import edge_lists, subspace_model
 from learning_to_simulate.training import training_state
-from mpm import bodies, raw_run
-from mpm.run import RawRun
+from mpm import bodies
 from nri import data as nri_data
 from nri import model as nri_model
 from nri.config import NriConfig
@@ -41,9 +40,8 @@ from pca_tools import (
     subspace,
 )
 from pca_tools.formats import detect, full_space
-from pca_tools.storage import folder_lock
 from tests.faults import small
-from tests.faults.small import FRAMES, MODES, N_SOIL, R, copies
+from tests.faults.small import FRAMES, MODES, copies
 
 # numpy.array([3.0, 2.0, 1.0]) in the form of the authors' files, pickle protocol 3.
 _PICKLE = (
@@ -179,23 +177,6 @@ def _possible_rollout(frames):
     )
 
 
-def _write_raw_of_solver(folder):
-    rng, entries = _rng(), []
-    for case in (1, 2):
-        soil, body, load = (
-            rng.random((4, *shape), np.float32) for shape in ((N_SOIL, 3), (R, 3), (2, 3))
-        )
-        pose = np.eye(7, dtype=np.float32)[[3] * 4]
-        parameters = {'case': case, 'context': {'gravity': 9.8}}
-        run = RawRun(soil, body, load[:, 0], parameters, load[:, 1], pose)
-        entries.append(raw_run.write_run(folder, run))
-    scene = dataset.read_metadata(os.path.join(small.world(), 'data'))['scene']
-    files.write_json(
-        f'{folder}/manifest.json',
-        {'scene': scene, 'dt': 0.0166, 'bounds': [[0.1, 0.9]] * 3, 'runs': entries},
-    )
-
-
 def _possible_raw(runs):
     return all(
         run.positions.shape[2] == 3
@@ -248,16 +229,6 @@ def _possible_checkpoint(value):
     step, *digests = value
     written = hashlib.sha256(bytes(range(200)) + bytes([step])).hexdigest()
     return step in (8, 12) and digests == [written] * 2
-
-
-def _write_lock(folder):
-    owner = folder_lock.Owner('elsewhere', 4711, 99)
-    files.write_json(f'{folder}/{folder_lock.LOCK_NAME}', dataclasses.asdict(owner))
-
-
-def _take_lock(folder):
-    with folder_lock.locked(folder, take_over=True):
-        return 'taken'
 
 
 def _full_space_data() -> full_space.FullSpaceData:
@@ -456,10 +427,6 @@ TARGETS = (
            lambda folder: list(raw_runs.RawRuns(folder))),
     Target('raw manifest', Promise.OPEN, copies('raw'), ('manifest.json',),
            lambda folder: list(raw_runs.RawRuns(folder)), _possible_raw),
-    Target('raw runs, solver', Promise.CHECKSUM, _write_raw_of_solver, ('run_001.npz',),
-           lambda folder: raw_run.read_run(f'{folder}/run_001.npz')),
-    Target('raw manifest, solver', Promise.OPEN, _write_raw_of_solver, ('manifest.json',),
-           raw_run.read_manifest),
     Target("authors' pickles", Promise.OPEN, _write_pickle, ('pca_eigen_values.pkl',),
            lambda folder: legacy_pickles.read_array(f'{folder}/pca_eigen_values.pkl'),
            lambda array: isinstance(array, np.ndarray) and array.dtype.kind in 'fciu'),
@@ -469,7 +436,6 @@ TARGETS = (
     Target('checkpoints', Promise.OPEN, _write_checkpoints,
            tuple(name for n in (8, 12) for name in (*_shards(n), f'ckpt-{n}.json')),
            _newest_whole_checkpoint, _possible_checkpoint),
-    Target('folder lock', Promise.OPEN, _write_lock, (folder_lock.LOCK_NAME,), _take_lock),
     # MPM-NGF and VTP keep folders of files, the bench single ones.
     _import('deepmind', ('train.tfrecord', 'metadata.json')),
     _import('geoelements', ('train.npz', 'metadata.json')),

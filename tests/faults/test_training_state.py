@@ -6,13 +6,11 @@ is; that a real training killed by SIGKILL resumes bit for bit is held by
 """
 
 import contextlib
-import json
 import os
 import pathlib
 import resource
 import shutil
 import signal
-import socket
 
 import numpy as np
 import pytest
@@ -24,7 +22,7 @@ from learning_to_simulate.subspace import trainer as trainer_module
 from learning_to_simulate.subspace.trainer import Trainer
 from learning_to_simulate.training import loop, training_state
 from pca_tools import dataset, files
-from pca_tools.storage import whole_files
+from pca_tools.storage import folder_lock, whole_files
 from tests.faults.small import cheap_step
 from tests.learning_to_simulate import synthetic
 
@@ -330,15 +328,11 @@ def test_variables_that_are_not_finite_are_never_saved(model, data, what):
 
 
 def test_second_training_in_the_same_folder_is_refused(model, train):
-    """The parent of this process stands for a training that runs elsewhere."""
-    with open(f'/proc/{os.getppid()}/stat', encoding='utf-8') as file:
-        started = int(file.read().rpartition(')')[2].split()[19])
-    owner = {'host': socket.gethostname(), 'pid': os.getppid(), 'started': started}
-    (model / '.lock.json').write_text(json.dumps(owner))
-    before = {p.name: p.read_bytes() for p in model.iterdir()}
-    with pytest.raises(ValueError, match=f'process {os.getppid()} on .* writes into this folder'):
-        train(model)
-    assert {p.name: p.read_bytes() for p in model.iterdir()} == before
+    with folder_lock.locked(str(model)):
+        before = {p.name: p.read_bytes() for p in model.iterdir()}
+        with pytest.raises(ValueError, match=f'process {os.getpid()} on .* writes into this'):
+            train(model)
+        assert {p.name: p.read_bytes() for p in model.iterdir()} == before
 
 
 def test_inputs_are_opened_for_reading_only(whole, data, tmp_path, train):

@@ -1,19 +1,31 @@
 """Coarse scenes, their packings and simulations: the same code at a hundredth of the cost; and the
 first motions of each kind, in the scenes as they are."""
 
+import dataclasses
 import functools
+import math
 from typing import NamedTuple
 
 import numpy as np
 
 from mpm import bodies, packing, run, scenes
 from mpm.constitutive import make_soil
-from mpm.experiments import coarse
 from mpm.motions import catalogue
 from mpm.motions.catalogue import Motion
+from mpm.scenes import Scene, sampled
 from mpm.simulation import Settings
 
 SOIL = make_soil(1.5e6, 0.76)
+
+
+def coarse(scene: Scene) -> Scene:
+    """The scene on cubic cells of 4 cm (wheel: 2 cm), with as many particles per cell."""
+    box = scene.bin
+    dx = 0.04 if scene.name == 'excavation' else 0.02
+    size = (box.size[0], box.size[1], math.ceil(box.size[2] / dx) * dx)
+    return dataclasses.replace(scene, bin=sampled(size, dx, dx, 1, box.height, box.bounds))
+
+
 BLADE, WHEEL = coarse(scenes.EXCAVATION), coarse(scenes.WHEEL)
 
 

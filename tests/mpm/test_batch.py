@@ -14,11 +14,12 @@ import numpy as np
 import pytest
 
 from mpm import batch, bodies, packing, raw_run, scenes
-from mpm.experiments import coarse
 from mpm.height_map import shape_of
 from mpm.motions.recording import Recording
 from mpm.simulation import Settings
+from pca_tools import files
 from tests.mpm import small
+from tests.mpm.small import coarse
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 
@@ -27,7 +28,7 @@ SHORT = """
 import sys
 from mpm import batch, scenes
 from mpm.simulation import Settings
-from mpm.experiments import coarse
+from tests.mpm.small import coarse
 scenes.FRAMES = int(sys.argv[1])
 if __name__ == '__main__':
     cases = tuple(int(case) for case in sys.argv[3].split(','))
@@ -82,7 +83,7 @@ def test_files_are_as_agreed(tmp_path, short):
         path = tmp_path / entry['file']
         run = raw_run.read_run(str(path))
         assert path.stat().st_size == entry['bytes']
-        assert raw_run.digest(str(path)) == entry['sha256']
+        assert files.sha256_of_file(str(path)) == entry['sha256']
         assert raw_run.content_digest(run) == entry['content']
         with np.load(path, allow_pickle=False) as file:
             assert {name: file[name].shape for name in file.files} == shapes | {'parameters': ()}

@@ -255,7 +255,6 @@ def test_folders_are_named_wherever_they_are_met(exports, excavation, raw_excava
         with pytest.raises(ValueError, match=text):
             import_data(folder, str(tmp_path / 'out'))
     for names, text in (
-        (('meta.json',), 'MeshGraphNets'), (('loc_train_springs5.npy',), 'NRI'),
         (('train.tfrecord',), 'no metadata.json'), (('notes.txt',), 'none of the known formats'),
         ((), 'holds nothing'),
     ):  # fmt: skip

@@ -35,11 +35,9 @@ def test_reductions_are_measured_on_held_out_runs(space, raw_excavation):
     assert kernel['test_mse'] > 10 * stored['test_mse']
 
 
-def test_pictures_and_numbers(excavation, raw_excavation, tmp_path, capsys):
-    values = types.SimpleNamespace(
-        output_path=str(tmp_path), raw_path=raw_excavation, kernel_gamma=0.04,
-        kernel_alpha=['1', '1e-3'], kernel_rows=200,
-    )  # fmt: skip
+def test_pictures_and_numbers(excavation, raw_excavation, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(plot_modes, 'KERNEL_ROWS', 200)
+    values = types.SimpleNamespace(output_path=str(tmp_path), raw_path=raw_excavation)
     plot_modes.main(values, [excavation])
     assert 'kernel PCA of the same (RBF 0.04, ridge 1)' in capsys.readouterr().out
     for name in ('energy_and_error.png', 'modes.png'):

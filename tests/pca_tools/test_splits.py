@@ -40,9 +40,3 @@ def test_held_out_cases_are_tested():
 def test_impossible_splits(fractions, hold_out, text):
     with pytest.raises(ValueError, match=text):
         splits.split_cases([0, 1, 2], fractions, 0, hold_out)
-
-
-def test_runs_are_spread_over_all():
-    assert splits.spread_over(10, 0) == splits.spread_over(10, 12) == list(range(10))
-    assert splits.spread_over(10, 5) == [1, 3, 5, 7, 9]
-    assert splits.spread_over(9, 3) == [1, 4, 7]

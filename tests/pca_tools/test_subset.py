@@ -49,7 +49,6 @@ def check_runs(out, whole):
         ({'train_runs': 2}, [2, 6]),
         ({'kinds': ['lift']}, [2, 6]),
         ({'kinds': ['grid'], 'train_runs': 1}, [4]),
-        ({'kinds': {'lift': 1, 'grid': 2}, 'train_runs': 2}, [1, 6]),
         ({}, [1, 2, 4, 6]),
     ],
 )
@@ -81,7 +80,6 @@ def test_runs_are_dealt_to_other_splits_with_all_that_is_known_of_them(whole, tm
     [
         ({'train_runs': 5}, 'such training runs: there are 4, 5 were asked for'),
         ({'kinds': ['grid'], 'train_runs': 3}, 'such training runs: there are 2, 3 were asked for'),
-        ({'kinds': {'lift': 3}}, 'runs of the kind lift: there are 2, 3 were asked for'),
         ({'kinds': ['lift', 'sea']}, r"trains on no \['sea'\], only \['grid', 'lift'\]"),
         ({'kinds': ['lift'], 'every_split': True}, r"valid, test without a run of \['lift'\]"),
         ({'every_split': True}, 'no kinds were named'),
@@ -91,14 +89,6 @@ def test_what_is_not_there_is_refused(whole, tmp_path, options, words):
     with pytest.raises(ValueError, match=words):
         subset.subset(whole, str(tmp_path / 'few'), **options)
     assert not (tmp_path / 'few').exists()
-
-
-def test_kinds_of_the_command_line():
-    assert subset.kinds_of([]) == {}
-    assert subset.kinds_of(['lift', 'grid:20']) == {'lift': 0, 'grid': 20}
-    for texts in (['lift:'], ['lift:0'], ['lift:-2'], ['lift:x'], ['lift', 'lift:2']):
-        with pytest.raises(ValueError, match='kinds are named once, as lift or grid:20, got lift'):
-            subset.kinds_of(texts)
 
 
 def test_dataset_that_trains_on_nothing(whole, tmp_path):

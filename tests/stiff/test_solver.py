@@ -6,12 +6,13 @@ import math
 import numpy as np
 import pytest
 
-from mpm import columns, constitutive, experiments, packing, run, scenes, stability
+from mpm import columns, constitutive, experiments, packing, run, stability
 from mpm.constitutive import make_soil
 from mpm.scenes import CORNER, EARTH_GRAVITY, Bin
 from mpm.simulation import Settings
 from mpm.solver import EXCHANGE, make_block
 from mpm.transfers import keep_elastic, return_elastic
+from tests.mpm import small
 
 STIFFNESS = {'E x 0.1': 1.5e5, 'E x 1': 1.5e6, 'E x 10': 1.5e7, 'E x 100': 1.5e8}
 STIFF = pytest.mark.parametrize('modulus', STIFFNESS.values(), ids=STIFFNESS)
@@ -132,7 +133,7 @@ def test_return_mapping_is_defined_everywhere(state):
 @pytest.fixture(scope='module')
 def settled():
     """(coarse excavation, its packing)."""
-    scene = experiments.coarse(scenes.EXCAVATION)
+    scene = small.BLADE
     return scene, packing.settle(scene.bin, make_soil(1.5e6, 0.76), 0)[0]
 
 
