@@ -88,7 +88,6 @@ def chosen_runs(values) -> tuple[scenes.Scene, tuple, dict | None]:
 
 
 def define_flags() -> None:
-    """Defines the flags of the command."""
     define_run_flags()
     define_place_flags()
     flags.mark_flag_as_required('output_path')
@@ -115,7 +114,6 @@ def define_place_flags() -> None:
 
 
 def main(values) -> None:
-    """Runs the command."""
     started = time.time()
     scene, runs, tool = chosen_runs(values)
     runs = runs or scenes.mini_cases(scene)

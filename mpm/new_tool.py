@@ -18,7 +18,6 @@ import json
 import math
 import os
 import shutil
-import signal
 import subprocess
 import sys
 import time
@@ -80,32 +79,22 @@ class Work:
 
         Raises:
             ValueError: it failed; it has said why.
-            SystemExit: this program was told to end; so was the command.
+            SystemExit: Ctrl-C.
         """
         print(f'--- {step}: python -m {module} {" ".join(arguments)}', flush=True)
         started = time.monotonic()
-        # It ends with this process, however that one ends: it would hold its folder. In a session
-        # of its own, so that Ctrl-C comes to it once.
+        # It ends with this process, however that one ends: it would hold its folder.
         parent = [sys.executable, '-m', 'pca_tools.storage.parent', str(os.getpid())]
-        child = subprocess.Popen([*parent, module, *arguments], start_new_session=True)
-        told: list[int] = []
-
-        def end(number, _):
-            told.append(number)
-            child.send_signal(number)
-
-        before = {n: signal.signal(n, end) for n in (signal.SIGTERM, signal.SIGINT)}
+        child = subprocess.Popen([*parent, module, *arguments])
         try:
             code = child.wait()
+        except KeyboardInterrupt:  # the command has it as well, and saves what it has
+            child.wait()
+            sys.exit('stopped; the same command goes on')
         finally:
-            for number, handler in before.items():
-                signal.signal(number, handler)
             seconds = self.state['seconds']
             seconds[step] = seconds.get(step, 0.0) + time.monotonic() - started
             self.save()
-        if told:
-            print('stopped; the same command goes on', flush=True)
-            raise SystemExit(128 + told[0])
         if code:
             raise ValueError(f'{step} failed, see above; the same command goes on from there')
 
@@ -154,7 +143,6 @@ def verdict(work: Work, kept: int, where: str) -> str:
 
 
 def main(values, arguments) -> None:
-    """Runs the command."""
     if len(arguments) != 1:
         raise ValueError('one JSON file of a tool was expected (mpm/README.md)')
     tool, count, kept = bodies.read_tool(arguments[0]), values.runs, values.kept

@@ -178,14 +178,12 @@ def draw_runs(folder: str, cases, output_path: str) -> None:
 
 
 def define_flags() -> None:
-    """Defines the flags of the command."""
     define_run_flags()
     flags.DEFINE_string('raw_path', None, 'Folder of raw runs, of which the soil is drawn.')
     flags.DEFINE_string('output_path', None, 'Picture file.', required=True)
 
 
 def main(values) -> None:
-    """Runs the command."""
     scene, cases, tool = chosen_runs(values)
     if values.raw_path is None:
         draw(scene, cases, values.output_path, tool)

@@ -186,7 +186,6 @@ def _read_digests(path) -> dict[str, dict]:
 
 
 def define_flags() -> None:
-    """Defines the flags of the command."""
     define_place_flags()
     flags.DEFINE_list('parts', list(PARTS), f'Which parts, in their order: {",".join(PARTS)}.')
     flags.DEFINE_integer(

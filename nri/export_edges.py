@@ -5,17 +5,16 @@ Examples:
   python -m nri.export_edges --model_path=/tmp/nri_excavation --data_path=datasets/excavation \\
       --output_path=/tmp/edges
 
-  # the 20 most probable ones and the 8 self-edges; then train on them
+  # the 20 most probable ones; then train on them
   python -m nri.export_edges --model_path=/tmp/nri_excavation --data_path=datasets/excavation \\
-      --output_path=/tmp/edges --keep=28
+      --output_path=/tmp/edges --keep=20
   python -m learning_to_simulate.train --adjacency=/tmp/edges/edges.json --data_path=... \\
       --model_path=...
 
 Writes edges.json (schema in docs/data.md), edges.npy (bool, [receiver, sender]) and edges.png
-(senders x receivers). NRI knows no self-edges; `--self_edges` adds those of all nodes. They carry
-nothing that a node's own update does not see, so they are left out unless asked for. A graph
-without any edge, or with all of them, is not exported unless --allow_degenerate is given: it says
-that the encoder collapsed, not what the soil does.
+(senders x receivers). NRI knows no self-edges; they carry nothing that a node's own update does not
+see. A graph without any edge, or with all of them, is not exported unless --allow_degenerate is
+given: it says that the encoder collapsed, not what the soil does.
 """
 
 import dataclasses
@@ -34,28 +33,20 @@ from pca_tools import dataset, files
 MASK_FILE, PICTURE_FILE = 'edges.npy', 'edges.png'
 
 
-def edge_posterior(model, features, no_edge_type: int) -> np.ndarray:
-    """P(edge) of every ordered pair of nodes in every run.
+def edge_posterior(model, features) -> np.ndarray:
+    """P(edge) of every ordered pair of nodes in every run: that of all types but the first.
 
     Args:
       model: `NriModel`.
       features: float32 [S, V, T, F] as `data.load` gives them.
-      no_edge_type: the edge type that means that nothing is exchanged.
 
     Returns:
       float64 [S, V, V], entry [receiver, sender]; NaN on the diagonal.
-
-    Raises:
-      ValueError: if the model has no such type.
     """
     types = model.edge_probabilities(features)
-    if not 0 <= no_edge_type < types.shape[2]:
-        raise ValueError(
-            f'no_edge_type is {no_edge_type}, the model has the types 0 to {types.shape[2] - 1}'
-        )
     n_node = features.shape[1]
     matrix = np.full((len(types), n_node, n_node), np.nan)
-    matrix[:, ~np.eye(n_node, dtype=bool)] = 1.0 - types[:, :, no_edge_type].astype(np.float64)
+    matrix[:, ~np.eye(n_node, dtype=bool)] = 1.0 - types[:, :, 0].astype(np.float64)
     return np.clip(matrix, 0.0, 1.0)
 
 
@@ -89,8 +80,6 @@ def find_edges(
     split: str = 'train',
     threshold: float = 0.6,
     keep: int | None = None,
-    self_edges: bool = False,
-    no_edge_type: int | None = None,
     allow_degenerate: bool = False,
 ) -> edge_lists.EdgeList:
     """The edge list of an NRI model on a split.
@@ -100,9 +89,7 @@ def find_edges(
       data_path: the data it was trained on.
       split: runs that the posterior is averaged over.
       threshold: edges have a probability above it.
-      keep: instead, the number of most probable edges to keep (self-edges counted).
-      self_edges: whether every node gets one.
-      no_edge_type: the type that means no edge; None for type 0 of a model with `skip_first`.
+      keep: instead, the number of most probable edges to keep.
       allow_degenerate: whether an empty or saturated graph is a result.
 
     Raises:
@@ -124,17 +111,12 @@ def find_edges(
         raise ValueError(
             f'{data_path} has the nodes {data.node_names}, {model_path} {model.node_names}'
         )
-    if no_edge_type is None:
-        if not model.config.skip_first:
-            raise ValueError(
-                f'{model_path} was trained without skip_first, so none of its edge types means '
-                f'"no edge"; say with --no_edge_type which one is to count as that'
-            )
-        no_edge_type = 0
-    posterior = edge_posterior(model, data.features, no_edge_type)
+    if not model.config.skip_first:
+        raise ValueError(f'{model_path} was trained without skip_first: no type means "no edge"')
+    posterior = edge_posterior(model, data.features)
     probabilities = posterior.mean(axis=0)
     wish = {'threshold': threshold} if keep is None else {'keep': keep}
-    mask = edge_lists.select(probabilities, **wish, self_edges=self_edges)
+    mask = edge_lists.select(probabilities, **wish, self_edges=False)
     found = edge_lists.degeneracy(mask)
     if found and not allow_degenerate:
         p = probabilities[~np.isnan(probabilities)]
@@ -153,7 +135,7 @@ def find_edges(
             'model': model.digest, 'data': trained_on, **edge_lists.data_digests(data_path)
         },
         degenerate=found,
-        report=spread(posterior, threshold) | {'split': split, 'self_edges': self_edges},
+        report=spread(posterior, threshold) | {'split': split},
     )
 
 
@@ -194,22 +176,18 @@ def export(edges: edge_lists.EdgeList, data_path: str, output_path: str) -> list
 
 
 def define_flags():
-    """Defines the command line."""
     flags.DEFINE_string('model_path', None, 'Folder of the NRI model.', required=True)
     flags.DEFINE_string('data_path', None, 'The data it was trained on.', required=True)
     flags.DEFINE_string('output_path', None, 'Folder for the three files.', required=True)
     flags.DEFINE_enum('split', 'train', dataset.SPLITS, 'Runs to average over.')
     flags.DEFINE_float('threshold', 0.6, 'Edges have a probability above it.', 0.0, 1.0)
     flags.DEFINE_integer('keep', None, 'Instead: number of edges, the most probable ones.', 0)
-    flags.DEFINE_bool('self_edges', False, 'Add an edge of every node to itself.')
-    flags.DEFINE_integer('no_edge_type', None, 'Edge type that means no edge.', 0)
     flags.DEFINE_bool('allow_degenerate', False, 'Export an empty or saturated graph too.')
 
 
 def main(v):
-    """Runs the command."""
     command.import_tensorflow()
-    options = 'split', 'threshold', 'keep', 'self_edges', 'no_edge_type', 'allow_degenerate'
+    options = 'split', 'threshold', 'keep', 'allow_degenerate'
     edges = find_edges(v.model_path, v.data_path, **{name: v[name].value for name in options})
     names = export(edges, v.data_path, v.output_path)
     r = edges.report

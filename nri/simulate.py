@@ -96,7 +96,6 @@ def _save(path, array):
 
 
 def define_flags():
-    """Defines the command line."""
     flags.DEFINE_enum('system', 'springs', sorted(particle_systems.SYSTEMS), 'What to simulate.')
     flags.DEFINE_integer('n_objects', 5, 'V, number of objects.')
     for split, count in (('train', 50000), ('valid', 10000), ('test', 10000)):
@@ -104,19 +103,14 @@ def define_flags():
     flags.DEFINE_integer('length', 5000, 'Time steps of a run.')
     flags.DEFINE_integer('sample_freq', 100, 'Time steps between frames.')
     flags.DEFINE_float('dt', 0.001, 'Time step.')
-    flags.DEFINE_float('interaction_strength', None, "k; default: Kipf's of the system.")
     flags.DEFINE_integer('seed', 42, 'Seed.')
     flags.DEFINE_string('output_path', None, 'Folder for the files.', required=True)
 
 
 def main(given):
-    """Reads the flags and writes the files."""
     started = time.time()
-    settings = {'n_objects': given.n_objects, 'dt': given.dt}
-    if given.interaction_strength is not None:
-        settings['interaction_strength'] = given.interaction_strength
     counts = {split: given[f'num_{split}'].value for split in SPLITS}
-    system = particle_systems.SYSTEMS[given.system](**settings)
+    system = particle_systems.SYSTEMS[given.system](given.n_objects, given.dt)
     how = given.length, given.sample_freq, given.seed
     write_dataset(system, given.system, counts, *how, given.output_path)
     print(

@@ -57,7 +57,6 @@ def names() -> list[str]:
 
 
 def main(_, arguments) -> None:
-    """Runs the command."""
     for name in arguments or names():
         path = os.path.join(ROOT, name)
         with open(path, encoding='utf-8') as file:

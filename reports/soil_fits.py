@@ -127,13 +127,12 @@ def table(path: str) -> str:
 
 
 def main(values) -> None:
-    """Runs the report."""
     command.writable_folder(str(values.output_path.rpartition('/')[0] or '.'))
     command.import_tensorflow(1)
     from learning_to_simulate.soil_field import method
 
-    fits = known_soils(method.load(values.blade))
-    fits['wheel of Ding'] = ding(method.load(values.wheel))
+    fits = known_soils(method.load('models/excavation/soil_field'))
+    fits['wheel of Ding'] = ding(method.load('models/wheel/soil_field'))
     made: dict = record.provenance(1)
     made |= {'summary': {name: summary(rows) for name, rows in fits.items()}}
     kept = {name: rows for name, rows in fits.items() if not name.startswith('three')}
@@ -143,7 +142,5 @@ def main(values) -> None:
 
 
 if __name__ == '__main__':
-    flags.DEFINE_string('blade', 'models/excavation/soil_field', 'Soil field of the blade.')
-    flags.DEFINE_string('wheel', 'models/wheel/soil_field', 'Soil field of the wheel.')
     flags.DEFINE_string('output_path', None, 'JSON file to write.', required=True)
     command.start(main)

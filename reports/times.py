@@ -280,7 +280,6 @@ def draw(path: str, protocol: dict, picture: str) -> None:
 
 
 def define_flags() -> None:
-    """Defines the flags of the command."""
     flags.DEFINE_string(
         'data_path', None, 'Datasets, separated by commas: the path is of the first; a soil field '
         'has learned from all.',
@@ -295,7 +294,6 @@ def define_flags() -> None:
 
 
 def main(values, _) -> None:
-    """Runs the command."""
     path = f'{values.output_path}.json'
     if values.budget_ms:
         print(picked(path, *values.budget_ms))

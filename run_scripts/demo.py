@@ -193,7 +193,6 @@ def draw(name: str, field, network, out: str) -> list[str]:
 
 
 def define_flags() -> None:
-    """Defines the flags of the command."""
     flags.DEFINE_string('output_path', 'demo_output', 'Folder for everything that is written.')
     flags.DEFINE_list('scenes', sorted(scenes.SCENES), 'Which scenes.')
     flags.DEFINE_list('cases', None, 'One run per scene; default: one that no model has seen.')

@@ -76,7 +76,6 @@ def train(job: tuple[str, str]) -> str:
 
 
 def define_flags() -> None:
-    """Defines the flags of the command."""
     flags.DEFINE_list('models', list(SHIPPED), 'Models to train.')
     flags.DEFINE_string('work_path', None, 'Folder for training states.', required=True)
     command.define_workers('Models trained at a time.')

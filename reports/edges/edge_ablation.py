@@ -138,7 +138,6 @@ def nri_rows_of(path: str | None, data_path: str):
 
 
 def define_flags() -> None:
-    """Defines the flags of the command."""
     flags.DEFINE_string('data_path', None, 'Dataset folder.', required=True)
     flags.DEFINE_string('nri_path', None, 'JSON of reports nri_stability; none: no NRI row.')
     flags.DEFINE_string('work_path', None, 'Folder for lists and trainings.', required=True)

@@ -129,7 +129,6 @@ def draw(result, path):
 
 
 def define_flags():
-    """Defines the command line."""
     flags.DEFINE_enum('system', 'springs', sorted(particle_systems.SYSTEMS), 'What to simulate.')
     flags.DEFINE_integer('n_objects', 5, 'V, number of objects.')
     flags.DEFINE_string('work_path', None, 'Folder for data and model.', required=True)
@@ -137,7 +136,6 @@ def define_flags():
 
 
 def main(given, _) -> None:
-    """Reads the flags, runs, writes."""
     os.makedirs(given.output_path, exist_ok=True)
     settings = settings_of(given.system, given.n_objects)
     result = run(given.system, given.n_objects, given.work_path, *settings)

@@ -49,7 +49,7 @@ def train_seed(data_path: str, model_path: str, config: NriConfig, threshold: fl
     history = files.read_json(os.path.join(model_path, experiment.HISTORY_FILE))
     model = load_model(model_path)
     data = nri_data.load(data_path, 'train', config.nodes, config.modes)
-    posterior = edge_posterior(model, data.features, 0)
+    posterior = edge_posterior(model, data.features)
     p = posterior.mean(axis=0)
     return {
         'seed': config.seed,
@@ -151,7 +151,6 @@ def draw(path: str, result: dict) -> None:
 
 
 def define_flags() -> None:
-    """Defines the flags of the command."""
     flags.DEFINE_string('data_path', None, 'Dataset folder.', required=True)
     flags.DEFINE_string('work_path', None, 'Folder for the models.', required=True)
     flags.DEFINE_string('output_path', None, 'JSON file of the result.', required=True)
@@ -171,7 +170,6 @@ def define_flags() -> None:
 
 
 def main(v, _) -> None:
-    """Runs the command."""
     settings = {name: getattr(v, name) for name in SETTINGS}
     settings['decay_start'] = v.epochs if v.decay_start is None else v.decay_start
     jobs = []

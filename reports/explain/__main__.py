@@ -34,7 +34,6 @@ def table(values: dict) -> str:
 
 
 def define_flags() -> None:
-    """Defines the flags of the command."""
     flags.DEFINE_string('model_path', None, 'Trained model.', required=True)
     flags.DEFINE_string('data_path', None, 'Dataset folder of the model.', required=True)
     flags.DEFINE_integer('rounds', 30, 'Timed rollouts of each variant.', 1)
@@ -43,7 +42,6 @@ def define_flags() -> None:
 
 
 def main(values, _) -> None:
-    """Runs the command."""
     import tensorflow as tf
 
     from reports.explain.explanation import Explanation

@@ -26,7 +26,6 @@ from reports.protocol import judge, tables
 
 
 def define_flags() -> None:
-    """Defines the flags of the command."""
     flags.DEFINE_string(
         'data_path', None, 'Dataset folders, separated by commas; all but the first are for soil '
         'fields alone.', required=True,
@@ -38,7 +37,6 @@ def define_flags() -> None:
 
 
 def main(values, _) -> None:
-    """Runs the command."""
     document = judge.judge(values.data_path, values.model, values.work_path, values.num_processes)
     # On one line: every run of every training is in it.
     files.write_text(values.output_path, json.dumps(document, separators=(',', ':')) + '\n')

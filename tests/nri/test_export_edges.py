@@ -67,9 +67,9 @@ def test_edges_are_those_of_the_posterior_in_kipfs_order(data, model_path, monke
     entropy = -(p * np.log2(p) + (1 - p) * np.log2(1 - p)).mean()
     assert report['entropy_bits'] == pytest.approx(entropy, rel=1e-5)
     edges.check_data(data)
-    kept = export_edges.find_edges(model_path, data, keep=6, self_edges=True)
-    assert list(zip(*np.nonzero(kept.mask & off))) == [(0, 1), (1, 2), (2, 0)]
-    assert kept.mask.diagonal().all() and kept.threshold is None
+    kept = export_edges.find_edges(model_path, data, keep=3)
+    assert list(zip(*np.nonzero(kept.mask))) == [(0, 1), (1, 2), (2, 0)]
+    assert kept.threshold is None
 
 
 def test_degenerate_graphs_are_refused_unless_told(data, model_path, monkeypatch):
@@ -85,10 +85,8 @@ def test_foreign_data_and_types_without_meaning_are_refused(data, model_path, tm
     other = synthetic.write_dataset(tmp_path / 'other', n_run=3)
     with pytest.raises(ValueError, match='trained on other data'):
         export_edges.find_edges(model_path, other)
-    with pytest.raises(ValueError, match='types 0 to 1'):
-        export_edges.find_edges(model_path, data, no_edge_type=2)
     plain = write_model(str(tmp_path / 'plain'), data, skip_first=False)
-    with pytest.raises(ValueError, match='--no_edge_type'):
+    with pytest.raises(ValueError, match='without skip_first'):
         export_edges.find_edges(plain, data)
 
 
@@ -137,10 +135,10 @@ def test_renumbered_nodes_have_renumbered_edges(data, model_path):
     """The encoder sees no numbers: features in another order give the same edges in that order."""
     features = nri_data.load(data, 'train').features
     order = np.array([2, 0, 1])
-    straight = export_edges.edge_posterior(load_model(model_path), features, 0)
+    straight = export_edges.edge_posterior(load_model(model_path), features)
     model = load_model(model_path)
     model.offset, model.scale = model.offset[order], model.scale[order]
-    renumbered = export_edges.edge_posterior(model, features[:, order], 0)
+    renumbered = export_edges.edge_posterior(model, features[:, order])
     assert np.nanstd(straight) > 1e-3
     expected = straight[:, order][:, :, order]
     np.testing.assert_allclose(renumbered, expected, atol=1e-5)  # float32: 1e-7 seen
