@@ -1,4 +1,4 @@
-"""Measured beside published: wheels over slip, a ball that is dropped, the authors' records.
+"""Measured beside published: wheels over slip, a ball that is dropped.
 
     python -m mpm.verification.anchors --json=mpm/verification/anchors.json \\
         --picture=mpm/verification/anchors.png
@@ -13,7 +13,6 @@ Sources:
   ball: Uehara, Ambroso, Ojha, Durian (2003), Phys. Rev. Lett. 90, 194301: the depth d that a ball
     reaches when it falls through H = h + d onto dry grains,
     d = 0.14 / mu (rho_ball / rho)^(1/2) diameter^(2/3) H^(1/3), mu the tangent of the repose angle.
-  records: mean drafts (N) of frames 1 to 60 of five cases of Subspace-Graph-Physics (Usmani 2023).
 """
 
 import dataclasses
@@ -83,15 +82,6 @@ DROPS = (0.05, 0.1, 0.2)  # m, from the lowest point of the ball to the bed
 BALL_DIAMETER, BALL_DENSITY = 0.05, 2200.0  # m, kg/m3
 BALL_BIN = scenes.sampled((0.3, 0.12, 0.3), 0.005, 0.005, 1, 0.3, ((0.0, 0.5),) * 3)
 BALL_FRAMES = 30
-RECORDS = {186: 135.0, 78: 65.0, 146: 109.0, 22: 19.6, 188: 152.0}  # N
-RECORD_FRAMES = 60
-PLANE_STRAIN_DEG = math.degrees(math.atan(math.sin(math.radians(scenes.EXCAVATION_FRICTION_DEG))))
-PHYSICS = {  # what the records are compared with
-    'as it is': Settings(),
-    'mu_s = sin(phi)': Settings(friction_angle_deg=PLANE_STRAIN_DEG),
-    'E = 15 MPa': Settings(youngs_modulus=15e6),
-}
-STIFF_CASES = (186, 22)  # ten times the stiffness takes three times as long
 
 
 def ball_depth(drop: float, friction_deg: float, density: float) -> float:
@@ -131,12 +121,6 @@ def dropped(drop: float) -> dict:
         'published_mm': round(1e3 * published, 3),
         'speed_at_end_m_s': round(float(simulation.free.state[1, 1]), 5),
     }
-
-
-def draft(case: int, settings: Settings) -> dict:
-    """Returns the mean draft (N) of a published case over the first frames."""
-    force, _ = run_rows.drive(scenes.EXCAVATION, case, RECORD_FRAMES, settings)
-    return {'draft_N': round(float(force[:, 0].mean()), 2)}
 
 
 def drive_of(wheel: Wheel, slip: float) -> Drive:
@@ -190,17 +174,13 @@ def wheel_table(path: str) -> str:
     return markdown.table(('wheel', 'slip', *itertools.chain(*titles)), rows)
 
 
-def other_table(path: str) -> str:
-    """Returns the ball's depth and the drafts of the records as Markdown."""
-    content, rows = read_kept(path), []
-    for drop, found in content.get('balls', {}).items():
-        name = f'ball dropped by {1e3 * float(drop):g} mm: depth, mm'
-        rows.append((name, f'{found["depth_mm"]:.1f}', f'{found["published_mm"]:.1f}'))
-    for physics, runs in content.get('records', {}).items():
-        for case, found in runs.items():
-            name = f'case {case}, {physics}: draft, N'
-            rows.append((name, f'{found["draft_N"]:.0f}', f'{RECORDS[int(case)]:g}'))
-    return markdown.table(('what', 'this solver', 'published'), rows)
+def ball_table(path: str) -> str:
+    """Returns the ball's depth, measured beside published, as Markdown."""
+    rows = [
+        (f'{1e3 * float(drop):g}', f'{found["depth_mm"]:.1f}', f'{found["published_mm"]:.1f}')
+        for drop, found in read_kept(path).get('balls', {}).items()
+    ]
+    return markdown.table(('ball dropped by, mm', 'depth, mm', 'published'), rows)
 
 
 def draw(path: str, output: str) -> None:
@@ -227,11 +207,8 @@ def jobs(values=None) -> Jobs:
         for slip in wheel.slips:
             if slip in RUN_SLIPS:
                 found['wheels', name, str(slip)] = partial(measured, wheel, slip)
-    for physics, settings in PHYSICS.items():
-        for case in STIFF_CASES if settings.youngs_modulus > 2e6 else RECORDS:
-            found['records', physics, str(case)] = partial(draft, case, settings)
     return found
 
 
 if __name__ == '__main__':
-    run_report('anchors', jobs, lambda path: f'{wheel_table(path)}\n\n{other_table(path)}', draw)
+    run_report('anchors', jobs, lambda path: f'{wheel_table(path)}\n\n{ball_table(path)}', draw)

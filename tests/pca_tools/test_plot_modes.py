@@ -20,8 +20,7 @@ def space(excavation):
 
 def test_reductions_are_measured_on_held_out_runs(space, raw_excavation):
     runs = RawRuns(raw_excavation)
-    rows = plot_modes.compare_reductions(space, runs, 0.04, [1.0], max_rows=10**6)
-    stored, same, kernel = rows
+    stored, same, kernel, _ = plot_modes.compare_reductions(space, runs, max_rows=10**6)
     training = [run.positions for run in runs if str(run.case) in space.runs]
     held_out = [run.positions for run in runs if str(run.case) not in space.runs]
     for parts, found in ((training, stored['train_mse']), (held_out, stored['test_mse'])):
