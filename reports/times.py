@@ -203,7 +203,7 @@ def picked(path: str, *budgets: str) -> str:
     """
     rows, lines = files.read_json(path)['rows'], []
     for budget in budgets:
-        line = [float(budget)]
+        line: list = [float(budget)]
         for clock, error in (('load_ms', 'force_relative_l2'), ('particles_ms', 'soil_mm')):
             within = [row for row in rows if row[error] and row[clock] <= float(budget)]
             best = min(within, key=lambda row: np.mean(row[error]), default=None)
