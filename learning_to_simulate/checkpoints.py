@@ -205,8 +205,7 @@ def check_dataset(model_path, model, data_path, metadata):
     """Refuses a dataset that a model does not fit.
 
     Raises:
-      ValueError: other modes, another subspace, a force or context that one of them lacks, or no
-        torque where the model predicts one.
+      ValueError: other modes, another subspace, a force or context that one of them lacks.
     """
     scene, config = model.simulator.scene, model.simulator.config
     found, first = metadata['mode_number'], getattr(config, 'modes', 0)
@@ -223,8 +222,6 @@ def check_dataset(model_path, model, data_path, metadata):
             f'again'
         )
     keys = {'rigid_body_force_mean': scene.has_force, 'context_mean': bool(scene.context_names)}
-    if getattr(config, 'predict_torque', False):
-        keys['rigid_body_torque_mean'] = True
     for key, wanted in keys.items():
         if (key in metadata) != wanted:
             has = 'has' if key in metadata else 'lacks'

@@ -55,8 +55,8 @@ class Training(Settings):
       seed: of weights, batches and noise.
       batch_size: of this stage.
       num_steps: of all stages.
-      noise_std: random-walk noise of the last input step, m/frame or a fraction.
-      noise_relative: whether the noise is a fraction of each node's own velocity scale.
+      noise_std: random-walk noise of the last input step, a fraction of each node's own velocity
+        scale; of the published style m/frame.
       learning_rate, learning_rate_floor, decay_steps: the rate decays by 0.1 per `decay_steps` to
         the floor.
     """
@@ -69,7 +69,6 @@ class Training(Settings):
     batch_size: int = number(16, 1, 100_000)
     num_steps: int = number(5000, 0)
     noise_std: float = number(0.5, 0)
-    noise_relative: bool = True
     learning_rate: float = 1e-3
     learning_rate_floor: float = 1e-5
     decay_steps: float = 3000.0
@@ -97,9 +96,6 @@ class TrainConfig(Training):
       rigid_particles: number of rigid particles that are nodes, the lowest ones of the first frame;
         0 keeps all. Only where the motion is prescribed: a blade cuts with its lower edge, and the
         rest follows from it.
-      rigid_stride: every such rigid particle, in record order, is a node, whatever moves the body;
-        1 keeps all. The others are placed rigidly. Where the body is not prescribed, the mean
-        height of the kept ones must be that of all.
       modes: number of modes that are nodes, the first ones of the dataset; the others are 0 in
         every prediction and count in every error. 0 keeps all.
       adjacency: which node acts on which: 'fully_connected'; 'algorithm2' (its mode block from
@@ -107,34 +103,26 @@ class TrainConfig(Training):
         (always ranked); 'random' (by lot, from the seed); the edge file that was loaded; 'none' for
         a model without a graph.
       mode_edges: mode -> mode edges that are kept when they are ranked by correlation or drawn.
-      surface_height: m; a rigid particle above it has no edges in that frame; 0 for edges that
-        last.
       gate_weight: above 0 the mode -> mode edges are learned together with the simulator, one
         hard-concrete gate each, and this is the price of all of them being open (`edge_gates`).
       gate_steps: the step after which the gates close for good; edges that are more likely open
         than not stay.
       style: 'ours' or 'published' (Haeri & Skonieczny 2021, Usmani & Skonieczny 2023). Published
         models see velocities and particle types alone, scaled by the statistics of the whole
-        dataset, edges in connectivity radii; they sum messages, weigh all errors alike and clip no
-        gradient. Ours scale every node class and pair of classes by its own statistics, see
-        positions, accelerations, the given motion of the coming frame and an embedding of each
-        mode; they take the mean of messages, weigh an error by its share of the motion, count
-        the force of a run in units of its own, show none clear of the soil, and clip gradients.
+        dataset, edges in connectivity radii; they sum messages, weigh all errors alike, clip no
+        gradient, and predict every particle of a body whose height alone is not given. Ours
+        scale every node class and pair of classes by its own statistics, see positions,
+        accelerations, the given motion of the coming frame and an embedding of each mode;
+        they take the mean of messages, weigh an error by its share of the motion, count the force
+        of a run in units of its own, show none clear of the soil, and clip gradients.
       velocity_inputs: number of the H - 1 last velocities that are inputs.
       rate_scaled: velocities in and displacements out are counted per displacement of the body in
         the coming frame (soil at these speeds is nearly rate-independent); needs a known motion and
         order 1.
-      predict_driven_body: predict every particle of a body whose rotation and travel are given, the
-        published way, instead of its height alone.
       mode_order, rigid_order: 2 predicts acceleration, 1 predicts the displacement of the frame; 0
-        (modes only, with `path_inputs`) predicts where they are, counted from the last given frame:
-        then no error is carried from frame to frame but by the inputs.
-      path_inputs: what the tool has done since the start of the run is an input (`path_memory`);
-        needs a body whose whole motion is given.
-      state_inputs: whether the state of the modes is an input; without it (with `path_inputs`, no
-        graph) a frame depends on the path alone.
-      predict_torque: whether the torque on the body is predicted beside the force; needs records of
-        it, of one body.
+        (modes of the MLP only) predicts where they are, counted from the last given frame. Then a
+        frame follows from what the tool has done since the start of the run (`path_memory`) and
+        not from the state, so that no error is carried on; needs a body of given motion.
       unroll_length, unroll_batch_size, unroll_steps: the second stage of training, the last
         `unroll_steps` of `num_steps`: rollouts of that length without noise, and gradients through
         them.
@@ -144,22 +132,16 @@ class TrainConfig(Training):
     model: str = GRAPH_NETWORK
     copies: int = number(0, 0, 100)
     rigid_particles: int = number(10, 0, MAX_RIGID)
-    rigid_stride: int = number(1, 1, MAX_RIGID)
     modes: int = number(0, 0, MAX_MODES)
     adjacency: str = 'algorithm2'
     mode_edges: int = number(28, 0, MAX_MODES**2)
-    surface_height: float = 0.0
     gate_weight: float = number(0.0, 0)
     gate_steps: int = number(1000, 1)
     style: str = 'ours'
     velocity_inputs: int = number(1, 1, INPUT_SEQUENCE_LENGTH - 1)
     rate_scaled: bool = True
-    predict_driven_body: bool = False
     mode_order: int = number(1, 0, 2)
     rigid_order: int = number(1, 1, 2)
-    path_inputs: bool = False
-    state_inputs: bool = True
-    predict_torque: bool = False
     unroll_length: int = number(16, 2, 10_000)
     unroll_steps: int = number(2000, 0)
     unroll_batch_size: int = number(8, 1, 100_000)
@@ -168,7 +150,6 @@ class TrainConfig(Training):
         """Raises where settings do not fit each other or the network."""
         graph = f'with model {self.model!r}'
         orders = f'mode_order {self.mode_order} and rigid_order {self.rigid_order}'
-        without_state = self.mode_order == 0 or not self.state_inputs
         for is_wrong, why in (
             (self.model not in MODELS,
              f'model is {self.model!r}, must be one of {", ".join(MODELS)}'),
@@ -176,9 +157,6 @@ class TrainConfig(Training):
              f'style is {self.style!r}, must be one of {", ".join(STYLES)}'),
             ((self.adjacency == 'none') == self.has_graph,
              f'adjacency is {self.adjacency!r} {graph}: gns needs one, the others take none'),
-            (self.surface_height and not self.has_graph,
-             f'surface_height is {self.surface_height} {graph}: only gns has edges between modes '
-             'and body'),
             (self.gate_weight > 0 and self.adjacency != 'algorithm2',
              f'gate_weight {self.gate_weight} learns the edges, but adjacency {self.adjacency!r} '
              'gives them: leave one of them out'),
@@ -187,14 +165,9 @@ class TrainConfig(Training):
             (self.gate_weight > 0 and self.gate_steps >= self.single_steps,
              f'gate_steps is {self.gate_steps}, but the gates must close before the end of the '
              f'single-step stage of {self.single_steps} steps'),
-            (without_state and not self.path_inputs,
-             f'mode_order {self.mode_order} and state_inputs {self.state_inputs} need path_inputs: '
-             'a place and soil without a state follow from the path alone'),
-            (not self.state_inputs and self.model != 'mlp',
-             f'state_inputs is False {graph}: only the MLP does without, edges and mixers are made '
-             'of the state'),
-            (self.path_inputs and self.is_published,
-             'path_inputs needs the style ours: the published inputs have no path'),
+            (self.reads_path and (self.model != 'mlp' or self.is_published),
+             f'mode_order is 0 {graph}, style {self.style!r}: only an MLP of the style ours does '
+             'without the state of the soil'),
             (self.rate_scaled and (self.mode_order, self.rigid_order) != (1, 1),
              f'rate_scaled needs mode_order and rigid_order 1, not {orders}: an acceleration does '
              'not scale with the rate'),
@@ -205,7 +178,12 @@ class TrainConfig(Training):
     @property
     def nodes(self) -> dict[str, int]:
         """Which nodes of the records are used, as arguments of `reading_utils.read_groups`."""
-        return {name: getattr(self, name) for name in ('rigid_particles', 'rigid_stride', 'modes')}
+        return {name: getattr(self, name) for name in ('rigid_particles', 'modes')}
+
+    @property
+    def reads_path(self) -> bool:
+        """Whether a frame follows from the path of the tool alone; see `mode_order`."""
+        return self.mode_order == 0
 
     @property
     def is_published(self) -> bool:
@@ -216,11 +194,6 @@ class TrainConfig(Training):
     def has_graph(self) -> bool:
         """Whether the network takes edges."""
         return self.model == GRAPH_NETWORK
-
-    @property
-    def has_lasting_graph(self) -> bool:
-        """Whether the model is a graph network with the same edges in every frame."""
-        return self.has_graph and not self.surface_height
 
 
 @dataclasses.dataclass(frozen=True)

@@ -117,31 +117,6 @@ def nearest_neighbour_edges(points, n_neighbours: int = 2) -> tuple[tuple[int, i
     return tuple((int(s), r) for r in range(len(points)) for s in nearest[r])
 
 
-def contracted_edges(edges, n_rigid: int, kept) -> tuple[tuple[int, int], ...]:
-    """The edges between the kept particles of a thinned body, numbered among them.
-
-    Two of them are neighbours if a path of edges joins them that meets left-out particles only.
-
-    Args:
-      edges: (sender, receiver) of the whole body.
-      n_rigid: its particles.
-      kept: int [R], the ones that stay.
-
-    Raises:
-      ValueError: an edge of a particle that the body does not have.
-    """
-    ends = np.array(edges, int).reshape(-1, 2)
-    if ends.size and not 0 <= ends.min() <= ends.max() < n_rigid:
-        raise ValueError(f'rigid edges name particle {ends.max()}, the body has {n_rigid}')
-    mask = np.zeros((n_rigid, n_rigid), bool)
-    mask[ends[:, 1], ends[:, 0]] = True
-    for left_out in np.setdiff1d(np.arange(n_rigid), kept):
-        mask |= np.outer(mask[:, left_out], mask[left_out])
-    mask = mask[np.ix_(kept, kept)]
-    np.fill_diagonal(mask, False)
-    return tuple((int(s), int(r)) for r, s in np.argwhere(mask))
-
-
 def mode_correlations(velocities) -> np.ndarray:
     """One-frame-lagged velocity correlation of every pair of modes.
 

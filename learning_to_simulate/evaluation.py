@@ -42,12 +42,10 @@ class Evaluator:
       model: the model.
       metadata: of the dataset; its projection errors are used where it states them.
       rigid_correction: whether predicted bodies are kept rigid.
-      more: what else is said of a run; see `summarise`.
     """
 
-    def __init__(self, model: Model, metadata: dict, rigid_correction: bool = True, more=None):
+    def __init__(self, model: Model, metadata: dict, rigid_correction: bool = True):
         self._model, self._metadata, self._correct = model, metadata, rigid_correction
-        self._more = more
         self._functions = {}
 
     def roll_out(self, group):
@@ -61,10 +59,10 @@ class Evaluator:
     def run(self, groups, split: str, progress=iter):
         """Results of `roll_out_all` and metrics of `summarise` for the runs of a split."""
         results = roll_out_all(self.roll_out, groups, progress)
-        return results, summarise(results, self._model, self._metadata, split, self._more)
+        return results, summarise(results, self._model, self._metadata, split)
 
 
-def summarise(results, model, metadata: dict, split: str, more=None) -> dict:
+def summarise(results, model, metadata: dict, split: str) -> dict:
     """The metrics of rolled-out runs: per run, their mean, and those of the trivial predictors.
 
     Args:
@@ -72,8 +70,6 @@ def summarise(results, model, metadata: dict, split: str, more=None) -> dict:
       model: its scene and statistics are read, and the edges of its graphs.
       metadata: of the dataset; {} where the nodes of the groups are the solver's own particles.
       split: of the runs.
-      more: called with record, one-run group and rollout, gives further figures of a run by name,
-        e.g. a `penetration.Penetration`; None for none.
 
     Returns:
       `mean` and `runs`, method -> errors: `soil_mm` (`soil_truth`), `soil_mse` within the subspace,
@@ -95,12 +91,9 @@ def summarise(results, model, metadata: dict, split: str, more=None) -> dict:
             'stay_still': metrics.stay_still(recorded[:, :H], n_frame),
             'constant_velocity': metrics.constant_velocity(recorded[:, :H], n_frame),
         }
-        forces = torques = dict.fromkeys(methods)
+        forces = dict.fromkeys(methods)
         if scene.has_force:
             forces = _by_method(rollout.force, group.force, statistics.force_mean)
-        if (torque := torque_of(rollout)) is not None and group.torque is not None:
-            mean = getattr(statistics, 'torque_mean', None)
-            torques = _by_method(torque[None], group.torque, np.nan if mean is None else mean)
         for name, rows in methods.items():
             position, truth = positions[name], recorded[:, H:]
             errors = {'rigid_mse': metrics.rigid_mse(position, truth, n_rigid)} if n_rigid else {}
@@ -110,17 +103,13 @@ def summarise(results, model, metadata: dict, split: str, more=None) -> dict:
             arrays = getattr(rollout, 'arrays', {}) if name == 'model' else {}
             errors['soil_mm'] = [soil.soil_mm(soil.of_rollout(position[0, :, n_rigid:], arrays))]
             if forces[name] is not None:
-                true_torque = None if group.torque is None else group.torque[:, H:]
-                errors |= metrics.load_errors(
-                    forces[name], group.force[:, H:], axes, torques[name], true_torque
-                )
+                errors |= metrics.load_errors(forces[name], group.force[:, H:], axes)
             rows.append({'record': record} | {k: float(v[0]) for k, v in errors.items()})
         methods['model'][-1] |= {
             **_status_fields(rollout),
             'edges': len(model.layout(n_rigid).senders),
             'milliseconds_per_step': 1e3 * rollout.seconds / n_frame,
             'seconds_per_simulated_second': rollout.seconds / (n_frame * scene.dt),
-            **({} if more is None else more(record, group, rollout)),
         }
     return _summary(methods, truths, scene)
 
@@ -149,21 +138,13 @@ class _Truths:
 
 
 def _by_method(predicted, recorded, mean) -> dict:
-    """A load [S, T - H, D] as the model and the trivial predictors have it."""
+    """A force [S, T - H, D] as the model and the trivial predictors have it."""
     n_frame = recorded.shape[1] - H
     return {
         'model': predicted,
         'stay_still': np.repeat(recorded[:, H - 1 : H], n_frame, axis=1),
         'constant_velocity': np.broadcast_to(mean, recorded[:, H:].shape),
     }
-
-
-def torque_of(rollout):
-    """[T - H, 3] N m of a one-run rollout, as an attribute or among its `arrays`; or None."""
-    torque = getattr(rollout, 'torque', None)
-    if torque is not None:
-        return torque[0]
-    return getattr(rollout, 'arrays', {}).get('predicted_torques')
 
 
 def _status_fields(rollout):
@@ -198,7 +179,7 @@ def _summary(methods, truths, scene):
         'soil_mse_over_best_trivial': mean['model']['soil_mse'] / best if best > 0 else None,
         'projection_mse': None if floors is None else float(np.mean(floors)),
         'force_of_trivial_predictors': 'stay_still: last input force; constant_velocity: mean '
-        'force of the training runs',  # so is the torque, where the model predicts one
+        'force of the training runs',
         'runs': methods,
     }
     return json.loads(
@@ -279,13 +260,6 @@ def _arrays(group, rollout) -> dict:
             each = (len(predicted), -1, predicted.shape[1])
             arrays['predicted_body_forces'] = rollout.force[0].reshape(each)
             arrays['ground_truth_body_forces'] = group.force[0, H:].reshape(each).astype(np.float32)
-    if (torque := torque_of(rollout)) is not None and group.torque is not None:
-        known = group.torque[0].astype(np.float32)
-        arrays |= {
-            'initial_torques': known[:H],
-            'predicted_torques': torque,
-            'ground_truth_torques': known[H:],
-        }
     if group.source is not None:
         arrays |= {'split': np.array(group.source[1]), 'record': group.record[0]}
     # What a method says beyond modes, e.g. the particles of one that has none.
@@ -315,8 +289,6 @@ _ROWS = {
     'rigid_mse': 'body, mean square 1e-4 m2',
     'soil_mse': 'soil within the subspace, mean square 1e-4 m2',
     'force_abs_mpe': 'force, |MPE| %',
-    'penetration_mm': 'soil in the tool, mm',
-    'true_penetration_mm': 'soil in the tool, ground truth, mm',
     'seconds_per_simulated_second': 'seconds per simulated second',
     'milliseconds_per_step': 'ms per frame',
 }

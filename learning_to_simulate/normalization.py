@@ -83,7 +83,6 @@ class Statistics(Arrays):
       target_mean, target_std: of what a node of the class predicts.
       force_mean, force_std: None without a force. Ours: one scale for all axes, since the lateral
         force is noise.
-      torque_mean, torque_std: likewise; None where the torque is not predicted.
       context_mean, context_std: None without a context.
       log_context_mean, log_context_std: of the logarithm, a second input of our models (loads and
         gravities span decades); None unless all values are positive.
@@ -128,10 +127,8 @@ class Statistics(Arrays):
     path: np.ndarray | None = array('5', optional=True)
     contact: np.ndarray | None = array('2', optional=True)
     surface: np.ndarray | None = array('P W', optional=True)
-    torque_mean: np.ndarray | None = array('D', optional=True)
-    torque_std: np.ndarray | None = array('D', optional=True)
 
-    def check(self, scene: Scene, predict_torque: bool = False) -> None:
+    def check(self, scene: Scene) -> None:
         """Raises ValueError where the arrays do not fit the scene or are of no use."""
         context = len(scene.context_names)
         dim = self.origin.shape[-1] if self.origin.ndim else 0
@@ -145,7 +142,7 @@ class Statistics(Arrays):
         self.check_arrays(
             {'K': scene.n_modes + 1, 'D': dim, 'C': context, 'F': force, 'P': places,
              'W': 2 + scene.n_modes * dim},
-            {'force': scene.has_force, 'torque': predict_torque, 'context': bool(context),
+            {'force': scene.has_force, 'context': bool(context),
              'contact': self.surface is not None},
         )  # fmt: skip
         prescribed = scene.rigid_motion == RigidMotion.PRESCRIBED and not scene.bodies
@@ -153,8 +150,6 @@ class Statistics(Arrays):
             ways = set(range(dim)) - {scene.up_axis}
             require(self.contact[0] in ways, 'axis of statistics.contact', float(self.contact[0]))
             require(prescribed and scene.has_force, 'statistics.contact of the scene', scene.name)
-        has_load = scene.has_force and not scene.bodies
-        require(has_load or not predict_torque, 'predict_torque', predict_torque)
 
 
 def compute_statistics(groups, metadata, scene: Scene, config: TrainConfig) -> Statistics:
@@ -164,7 +159,7 @@ def compute_statistics(groups, metadata, scene: Scene, config: TrainConfig) -> S
       groups: list of `RunGroup`; the last r nodes are modes.
       metadata: validated metadata; the published presets take their statistics from it.
       scene: the scene.
-      config: decides the family, and whether the torque is predicted.
+      config: decides the family.
 
     Raises:
       ValueError: runs shorter than three frames, or a rate that is scaled with a body at rest.
@@ -213,11 +208,9 @@ def compute_statistics(groups, metadata, scene: Scene, config: TrainConfig) -> S
         values |= _of_context('context', context)
         if not config.is_published and (context > 0).all():
             values |= _of_context('log_context', np.log(context))
-    for name, is_there in (('force', scene.has_force), ('torque', config.predict_torque)):
-        if is_there:
-            load = _rows([getattr(group, name) for group in groups])
-            mean, std = _of_load(name, load, metadata, scene, config)
-            values |= {f'{name}_mean': mean, f'{name}_std': std}
+    if scene.has_force:
+        force = _rows([group.force for group in groups])
+        values['force_mean'], values['force_std'] = _of_force(force, metadata, scene, config)
     return Statistics(**values, **_ranges(groups, scene))
 
 
@@ -268,18 +261,18 @@ def _of_context(name, values):
     return {f'{name}_mean': values.mean(axis=0), f'{name}_std': floored(std, std)}
 
 
-def _of_load(name, load, metadata, scene, config):
-    """Mean and spread of a load [n, F]."""
+def _of_force(force, metadata, scene, config):
+    """Mean and spread of a force [n, F]."""
     if config.is_published:
         # By component, of the metadata; of several bodies of the runs. Round-off is no spread.
-        mean, std = (np.asarray(metadata[f'rigid_body_{name}_{x}']) for x in ('mean', 'std'))
+        mean, std = (np.asarray(metadata[f'rigid_body_force_{x}']) for x in ('mean', 'std'))
         if scene.bodies:
-            mean, std = load.mean(axis=0), load.std(axis=0)
+            mean, std = force.mean(axis=0), force.std(axis=0)
         return mean, floored(np.where(std > FORCE_ROUNDING * np.abs(mean), std, 0.0))
-    # The loudest axis' spread for all axes; 1 for a load that never changes (a body in the air).
-    spread = load.std(axis=0).max()
-    spread = spread if spread > FORCE_ROUNDING * np.abs(load).max() else 1.0
-    return load.mean(axis=0), np.full(load.shape[1], spread)
+    # The loudest axis' spread for all axes; 1 for a force that never changes (a body in the air).
+    spread = force.std(axis=0).max()
+    spread = spread if spread > FORCE_ROUNDING * np.abs(force).max() else 1.0
+    return force.mean(axis=0), np.full(force.shape[1], spread)
 
 
 def _dataset_wide(metadata, scene, noise):

@@ -13,13 +13,9 @@ import numpy as np
 
 from learning_to_simulate import connectivity_utils
 from learning_to_simulate.scene import RigidMotion, Scene
-from pca_tools import dataset, legacy_pickles, rigid_fit
+from pca_tools import dataset, legacy_pickles
 
-# Of the body's radius of gyration: how far the mean height of the kept particles of a body that
-# turns may wobble about that of all. Float32 records reach 1e-7; every 3rd particle of the wheel
-# would give 0.1.
-HEIGHT_TOLERANCE = 1e-3
-_BY_RUN = 'position', 'force', 'context', 'record', 'body', 'kept', 'left_modes', 'torque'
+_BY_RUN = 'position', 'force', 'context', 'record', 'body', 'kept', 'left_modes'
 
 
 @dataclasses.dataclass(frozen=True)
@@ -37,7 +33,6 @@ class RunGroup:
         nodes.
       kept: int [S, R]: which of the record's rigid particles are the nodes; None for all.
       left_modes: float64 [S, T, r', D], scores of the modes that are no nodes; None if all are.
-      torque: float64 [S, T, D] on the body about its reference point, N m, or None.
       source: (dataset folder, split) of the records, or None.
     """
 
@@ -50,7 +45,6 @@ class RunGroup:
     body: tuple[np.ndarray, ...] | None = None
     kept: np.ndarray | None = None
     left_modes: np.ndarray | None = None
-    torque: np.ndarray | None = None
     source: tuple[str, str] | None = None
 
     @property
@@ -108,19 +102,16 @@ class RunGroup:
           as_recorded: see `with_left_modes`.
 
         Returns:
-          per run [T', V', D] with all rigid particles and modes of the record; of a prescribed body
-          those left out are as recorded, of others they follow the nodes rigidly.
+          per run [T', V', D] with all rigid particles and modes of the record; those of the body
+          that are no nodes are as recorded, since its motion is given.
         """
         position = self.with_left_modes(position, as_recorded)
         if self.body is None:
             return list(position)
         whole = []
         for nodes, body, kept in zip(position, self.body, self.kept, strict=True):
-            rigid, moved = body[-len(nodes) :].copy(), nodes[:, : self.n_rigid]
-            if self.particle_type[0] != dataset.KINEMATIC_PARTICLE_ID:
-                for points, target in zip(rigid, moved, strict=True):
-                    points[:] = moved_with(points, kept)(target)
-            rigid[:, kept] = moved
+            rigid = body[-len(nodes) :].copy()
+            rigid[:, kept] = nodes[:, : self.n_rigid]
             whole.append(np.concatenate([rigid, nodes[:, self.n_rigid :]], axis=1))
         return whole
 
@@ -132,32 +123,8 @@ class RunGroup:
         return np.concatenate([np.full(n_extra, first), self.particle_type, left])
 
 
-def moved_with(points, kept):
-    """A function that moves a body rigidly as its nodes were moved.
-
-    Args:
-      points: float64 [R', D], all particles of the body.
-      kept: int [R], which of them are nodes.
-
-    Returns:
-      called with the nodes [R, D] it gives all particles [R', D]; NaN if one of the nodes is.
-    """
-
-    def move(target):
-        if not np.isfinite(target).all():
-            return np.full_like(points, np.nan)
-        return rigid_fit.fit_rigid_motion(points[kept], target).apply(points)
-
-    return move
-
-
 def read_groups(
-    folder: str,
-    split: str,
-    metadata: dict,
-    rigid_particles: int = 0,
-    rigid_stride: int = 1,
-    modes: int = 0,
+    folder: str, split: str, metadata: dict, rigid_particles: int = 0, modes: int = 0
 ) -> list[RunGroup]:
     """Reads a split as groups of equal R and T, sorted by R.
 
@@ -167,12 +134,10 @@ def read_groups(
       metadata: its validated metadata.
       rigid_particles: at most this many particles of each body with prescribed motion become
         nodes, the lowest ones of the first frame; 0 keeps all.
-      rigid_stride: every rigid_stride-th rigid particle, in record order, may become a node.
       modes: number of first modes that become nodes; 0 keeps all.
 
     Raises:
-      FileNotFoundError, ValueError: as `pca_tools.dataset.read_split`; a stride whose particles
-        do not keep the height of a body that is not prescribed, more modes than there are.
+      FileNotFoundError, ValueError: as `pca_tools.dataset.read_split`; more modes than there are.
     """
     if modes > metadata['mode_number']:
         raise ValueError(f'{folder}: has {metadata["mode_number"]} modes, {modes} were asked for')
@@ -182,14 +147,11 @@ def read_groups(
     runs: dict[tuple, list] = {}
     for index, run in enumerate(dataset.read_split(folder, split)):
         is_given = run.particle_type[0] == dataset.KINEMATIC_PARTICLE_ID
-        bodies = [body[::rigid_stride] for body in np.split(np.arange(run.n_rigid), ends)]
+        bodies = np.split(np.arange(run.n_rigid), ends)
         if rigid_particles and is_given:
             height = run.position[0, :, up]
             bodies = [_lowest(body, height, rigid_particles) for body in bodies]
         kept = np.concatenate(bodies)
-        if rigid_stride > 1 and not is_given:
-            where = f'{folder}: {split} record {index}'
-            _check_thinning(run.position[:, : run.n_rigid], kept, up, where)
         runs.setdefault((len(kept), run.n_frames), []).append((index, run, kept))
     return [
         dataclasses.replace(_stack(n_rigid, members, modes), source=(folder, split))
@@ -200,20 +162,6 @@ def read_groups(
 def _lowest(body, height, count):
     """The `count` nodes of a body, indices, that are lowest, in their order."""
     return body[np.sort(np.argsort(height[body], kind='stable')[:count])]
-
-
-def _check_thinning(body, kept, up, where):
-    """Refuses kept particles [R] of a body [T, R', D] that do not stand for its height and turn."""
-    body = body.astype(np.float64)
-    size = np.sqrt(((body[0] - body[0].mean(axis=0)) ** 2).sum(axis=1).mean())
-    apart = np.ptp(body[:, kept, up].mean(axis=1) - body[:, :, up].mean(axis=1))
-    if len(kept) < rigid_fit.MIN_POINTS or apart > HEIGHT_TOLERANCE * size:
-        raise ValueError(
-            f'{where}: rigid_stride keeps {len(kept)} of {body.shape[1]} rigid particles, whose '
-            f'mean height wobbles by {apart:.3g} m about that of all; a body that is not '
-            f'prescribed needs at least {rigid_fit.MIN_POINTS}, within '
-            f'{HEIGHT_TOLERANCE * size:.3g} m'
-        )
 
 
 def _stack(n_rigid, members, modes):
@@ -235,8 +183,6 @@ def _stack(n_rigid, members, modes):
         more['kept'] = np.stack(kept)
     if 0 < modes < first.n_modes:
         more['left_modes'] = stacked([run.position[:, run.n_rigid + modes :] for run in runs])
-    if all(run.torque is not None for run in runs):
-        more['torque'] = stacked([run.torque for run in runs])
     return RunGroup(
         n_rigid=n_rigid,
         particle_type=first.particle_type[nodes[0]],
@@ -285,8 +231,6 @@ def read_scene(
     )
     changes: dict[str, Any] = {'n_modes': first.position.shape[2] - first.n_rigid}
     edges = scene.rigid_edges
-    if first.kept is not None and edges:
-        edges = connectivity_utils.contracted_edges(edges, first.body[0].shape[1], first.kept[0])
     if scene.rigid_motion == RigidMotion.PREDICTED and not edges:
         edges = connectivity_utils.nearest_neighbour_edges(first.position[0, 0, : first.n_rigid])
     if scene.bodies and first.kept is not None:

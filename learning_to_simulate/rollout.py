@@ -6,7 +6,6 @@ from typing import NamedTuple
 import numpy as np
 import tensorflow as tf
 
-from learning_to_simulate import loads
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH
 from learning_to_simulate.rollout_status import Judgement, RolloutStatus, judge
 from learning_to_simulate.scene import RigidMotion
@@ -27,14 +26,12 @@ class Rollout(NamedTuple):
       force: float32 [S, T - H, D], N, or None.
       judgements: per run, its `RolloutStatus` and where that begins.
       seconds: wall time of the compiled loop (after compilation), materialised results included.
-      torque: float32 [S, T - H, D] about the body's reference point, N m, or None.
     """
 
     position: np.ndarray
     force: np.ndarray | None
     judgements: list[Judgement]
     seconds: float
-    torque: np.ndarray | None = None
 
     @property
     def status(self) -> list[RolloutStatus]:
@@ -51,18 +48,18 @@ def corrected_step(simulator, layout: Layout, state: SimulatorState, known, cont
       correction: `rigid_body.Correction`, or None for none.
 
     Returns:
-      the next `SimulatorState` and loads [B, F] or None.
+      the next `SimulatorState` and force [B, F] or None.
     """
-    after, load = simulator.step(state, known, context, layout)
+    after, force = simulator.step(state, known, context, layout)
     if correction is None:
-        return after, load
+        return after, force
     n = layout.n_rigid
     placed, velocity = correction(state.offset[:, :n], after.offset[:, :n])
     newest = tf.concat([velocity, after.velocity[:, n:, -1]], axis=1)
     return SimulatorState(
         tf.concat([placed, after.offset[:, n:]], axis=1),
         tf.concat([after.velocity[:, :, :-1], newest[:, :, None]], axis=2),
-    ), load
+    ), force
 
 
 class RolloutFunction:
@@ -91,7 +88,7 @@ class RolloutFunction:
           n_frame: number of frames.
 
         Returns:
-          offsets float32 [n_frame, B, V, D] and loads float32 [n_frame, B, F] (`loads`) or None.
+          offsets float32 [n_frame, B, V, D] and forces float32 [n_frame, B, F] or None.
         """
         return self._run(state, known, context, n_frame)
 
@@ -106,19 +103,19 @@ class RolloutFunction:
             coming = None if known is None else known.at(k)
             changes = context is not None and context.shape.rank == 3
             now = context[k] if changes else context
-            state, load = corrected_step(simulator, layout, state, coming, now, correction)
-            written = [state.offset] + ([] if load is None else [load])
+            state, force = corrected_step(simulator, layout, state, coming, now, correction)
+            written = [state.offset] + ([] if force is None else [force])
             return k + 1, state, [a.write(k, x) for a, x in zip(arrays, written, strict=True)]
 
         shapes = [state.offset.shape]
-        if simulator.load_size:
-            shapes.append((state.offset.shape[0], simulator.load_size))
+        if simulator.force_size:
+            shapes.append((state.offset.shape[0], simulator.force_size))
         arrays = [tf.TensorArray(tf.float32, n_frame, element_shape=x) for x in shapes]
         _, _, arrays = tf.while_loop(
             lambda k, *_: k < n_frame, body, (0, state, arrays), maximum_iterations=n_frame
         )
-        offsets, *load = [a.stack() for a in arrays]
-        return offsets, load[0] if load else None
+        offsets, *force = [a.stack() for a in arrays]
+        return offsets, force[0] if force else None
 
 
 def rollout_inputs(group, layout: Layout, scene):
@@ -153,12 +150,11 @@ def roll_out(function: RolloutFunction, group) -> Rollout:
         function(*inputs)[0].numpy()
         function.is_warm = True
     start = time.perf_counter()
-    offsets, load = function(*inputs)
+    offsets, force = function(*inputs)
     offsets = offsets.numpy()
     seconds = time.perf_counter() - start
     position = np.moveaxis(offsets, 0, 1).astype(np.float64) + layout.origin
-    load = None if load is None else np.moveaxis(load.numpy(), 0, 1)
+    force = None if force is None else np.moveaxis(force.numpy(), 0, 1)
     simulator = function.simulator
-    judgements = judge(group, position, load, simulator.statistics, simulator.scene)
-    force, torque = loads.split(load, simulator.statistics)
-    return Rollout(position, force, judgements, seconds, torque)
+    judgements = judge(group, position, force, simulator.statistics, simulator.scene)
+    return Rollout(position, force, judgements, seconds)

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from learning_to_simulate import loads, normalization
+from learning_to_simulate import normalization
 from learning_to_simulate.body_height import without_height
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH
 from learning_to_simulate.scene import RigidMotion
@@ -36,7 +36,7 @@ class RolloutStatus(enum.StrEnum):
       the training runs; nothing is known about the error there.
     LEFT_BOUNDS: a predicted node left the hull of its training positions times two, or the force
       is above twice the largest of the training runs.
-    NON_FINITE: a position, a force or a torque is infinite or NaN.
+    NON_FINITE: a position or a force is infinite or NaN.
     """
 
     OK = 'ok'
@@ -185,7 +185,7 @@ class NodeRanges:
         )
 
     def judge(
-        self, frame: int, position, force=None, torque=None, body=None, before=None, context=None
+        self, frame: int, position, force=None, body=None, before=None, context=None
     ) -> Judgement:
         """The judgement of a predicted frame.
 
@@ -193,12 +193,11 @@ class NodeRanges:
           frame: its number.
           position: float64 [V, D], m.
           force: [D] (or [B D] of several bodies), N, or None.
-          torque: [D], N m, or None.
           body, before: [R, D], m, the body as it was given in this frame and in the one before;
             None where its motion is predicted.
           context: [C] in this frame, or None where it is that of the last frame.
         """
-        predicted = self._predicted(frame, position, force, torque)
+        predicted = self._predicted(frame, position, force)
         if predicted is not OK:
             return predicted
         unlike = self._unlike_context(frame, context)
@@ -206,21 +205,18 @@ class NodeRanges:
             unlike = self._unlike_motion(frame, body, before)
         return unlike or OK
 
-    def _predicted(self, frame, position, force, torque):
+    def _predicted(self, frame, position, force):
         bounds, predicted = self.bounds[:, self._first :], position[self._first :]
         least, most = bounds[:2]
         size = 0.0 if force is None else float(np.dot(force, force)) ** 0.5
-        turns = torque is None or np.isfinite(torque).all()
         inside = ((predicted >= least) & (predicted <= most)).all()  # false for NaN as well
-        if inside and size <= self._force_limit and np.isfinite(size) and turns:
+        if inside and size <= self._force_limit and np.isfinite(size):
             return OK
         bad = RolloutStatus.NON_FINITE
         if not (finite := np.isfinite(position).all(axis=1)).all():
             return Judgement(bad, frame, int((~finite).argmax()), 'position is not finite')
         if not np.isfinite(size):
             return Judgement(bad, frame, -1, 'force is not finite')
-        if not turns:
-            return Judgement(bad, frame, -1, 'torque is not finite')
         left = _first_outside(RolloutStatus.LEFT_BOUNDS, predicted, bounds, frame, self._first)
         if left:
             return left
@@ -279,13 +275,13 @@ def _first_outside(status, values, limits, frame, first_node=0, name='coordinate
     return Judgement(status, frame, node + first_node, reason)
 
 
-def judge(group, position, load, statistics, scene) -> list[Judgement]:
+def judge(group, position, force, statistics, scene) -> list[Judgement]:
     """The status of each rolled-out run of a group.
 
     Args:
       group: `RunGroup` of S runs, whose first H frames, body and context were the inputs.
       position: float64 [S, T - H, V, D], the predicted frames.
-      load: [S, T - H, F] force, and torque behind it where there is one; or None.
+      force: [S, T - H, F], or None.
       statistics: of the training runs.
       scene: says what of the body's motion is given.
 
@@ -294,15 +290,14 @@ def judge(group, position, load, statistics, scene) -> list[Judgement]:
     """
     ranges = NodeRanges(group.n_rigid, statistics, scene)
     return [
-        _of_run(ranges, group, run, position[run], None if load is None else load[run], statistics)
+        _of_run(ranges, group, run, position[run], None if force is None else force[run])
         for run in range(len(position))
     ]
 
 
-def _of_run(ranges, group, run, position, load, statistics):
+def _of_run(ranges, group, run, position, force):
     h, n = INPUT_SEQUENCE_LENGTH, group.n_rigid
     given, found = group.position[run], OK
-    force, torque = loads.split(load, statistics)
     for k in range(len(given)):
         body, before = given[k, :n], given[k - 1, :n] if k else None
         context = None
@@ -311,7 +306,7 @@ def _of_run(ranges, group, run, position, load, statistics):
         if k < h:
             now = ranges.start(given[k], context, before, k)
         else:
-            of_frame = (None if x is None else x[k - h] for x in (force, torque))
-            now = ranges.judge(k, position[k - h], *of_frame, body, before, context)
+            of_frame = None if force is None else force[k - h]
+            now = ranges.judge(k, position[k - h], of_frame, body, before, context)
         found = worse(found, now)
     return found

@@ -80,7 +80,7 @@ class OpenLoopEvaluator(evaluation.Evaluator):
         judgements = rollout_status.judge(
             group, position, force, simulator.statistics, simulator.scene
         )
-        return Rollout(position, force, judgements, seconds, predicted.torque)
+        return Rollout(position, force, judgements, seconds)
 
     def one_step_errors(self, groups) -> dict[str, float]:
         """Mean squared errors of the first predicted frame: each frame is a prediction of its

@@ -20,7 +20,6 @@ class Prediction(NamedTuple):
 
     position: np.ndarray  # float64 [S, T - H, V, D], m; what is not predicted stays still
     force: np.ndarray | None  # float64 [S, T - H, D], N
-    torque: np.ndarray | None = None  # float64 [S, T - H, D], N m about the body's reference point
 
 
 def held_position(group, scene, height=None) -> np.ndarray:

@@ -243,10 +243,7 @@ class WheelTerramechanics:
         start = group.position[:, H - 1, : group.n_rigid, up].mean(axis=1)[:, None]
         height = start - (motion.sinkage[:, H:] - motion.sinkage[:, H - 1 : H])
         position = open_loop.held_position(group, self.scene, height)
-        # Rolling along +u turns u towards -y; the soil turns it back.
-        axle = np.cross(np.eye(3)[self.axes.up], self.axes.sign * np.eye(3)[self.axes.axis])
-        torque = -motion.torque[:, H:, None] * axle
-        return open_loop.Prediction(position, self.force(motion)[:, H:], torque)
+        return open_loop.Prediction(position, self.force(motion)[:, H:])
 
     def force(self, motion: WheelMotion) -> np.ndarray:
         """The force [S, T, 3] on the wheel in the world, N."""

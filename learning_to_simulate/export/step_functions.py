@@ -9,7 +9,7 @@ import os
 import numpy as np
 import tensorflow as tf
 
-from learning_to_simulate import loads, registry
+from learning_to_simulate import registry
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.rollout import corrected_step
 from learning_to_simulate.scene import RigidMotion
@@ -28,7 +28,6 @@ MEANING = {
     'next_offset': 'offset in the coming frame',
     'next_velocity': 'velocity in the coming frame',
     'force': 'on the body, N',
-    'torque': 'about the point of recorded poses, N m',
     'modes': 'scores of the modes: origin + offset of the last nodes, m',
     'particles': 'of the soil, m',
 }
@@ -54,9 +53,9 @@ class StepFunctions:
     meaning = MEANING
 
     def __init__(self, simulator, layout, space, group=None):
-        if simulator.config.path_inputs:
+        if simulator.config.reads_path:
             raise ValueError(
-                'path_inputs: an exported step has no memory of the path; use the stepper of Python'
+                'mode_order 0: an exported step has no memory of the path; use the stepper'
             )
         self._simulator, self._layout, self._space = simulator, layout, space
         self._scene, self._group = simulator.scene, group
@@ -94,10 +93,9 @@ class StepFunctions:
         state, correction, n = SimulatorState(offset[None], velocity[None]), None, layout.n_rigid
         if self._scene.rigid_motion == RigidMotion.PREDICTED:
             correction = Correction(state.offset[:, :n], layout.origin[:n])
-        after, load = corrected_step(self._simulator, layout, state, known, context, correction)
+        after, force = corrected_step(self._simulator, layout, state, known, context, correction)
         found = {'next_offset': after.offset[0], 'next_velocity': after.velocity[0]}
-        parts = zip(loads.NAMES, loads.split(load, self._simulator.statistics), strict=True)
-        return found | {name: part[0] for name, part in parts if part is not None}
+        return found if force is None else found | {'force': force[0]}
 
     def reconstruct(self, modes):
         """Soil particles float32 [N, D], m, of mode scores float32 [r, D] (inverse PCA)."""
@@ -155,19 +153,19 @@ class StepFunctions:
         return {'step': calls, 'reconstruct': decoded}
 
     def parts(self, outputs) -> dict:
-        """What is compared: the last displacements of body and modes, loads, particles."""
+        """What is compared: the last displacements of body and modes, force, particles."""
         if 'particles' in outputs:
             return {'particles_m': outputs['particles']}
         n, moved = self._layout.n_rigid, outputs['next_velocity'][:, -1]
         body = {'rigid': moved[:n]} if n else {}
-        return {'modes': moved[n:]} | body | {k: outputs[k] for k in loads.NAMES if k in outputs}
+        return {'modes': moved[n:]} | body | {k: outputs[k] for k in ('force',) if k in outputs}
 
     def describe(self) -> dict:
         """What a user of the exported model must know; JSON-able."""
         scene, config, layout = self._scene, self._simulator.config, self._layout
         chosen = f'the {layout.n_rigid} lowest of the first frame, in record order'
-        if config.rigid_stride > 1 or not config.rigid_particles:
-            chosen = f'every {config.rigid_stride}. in record order'
+        if not config.rigid_particles:
+            chosen = 'all, in record order'
         return {
             'scene': scene.to_json(),
             'nodes': f'{layout.n_rigid} rigid particles, then {scene.n_modes} modes',

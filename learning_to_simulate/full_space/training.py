@@ -84,7 +84,7 @@ class ParticleTrainer(GradientTraining):
         given = simulator.given_motion(coming[:n])
         rate = simulator.rate(given)
         if walk is not None:
-            std = config.noise_std * (rate * s.velocity_std[1] if config.noise_relative else 1.0)
+            std = config.noise_std * rate * s.velocity_std[1]
             walk = walk.cumsum(axis=0) * std / np.sqrt(len(velocity))
             walk[:, :n] = 0.0
             position, velocity = position + walk.sum(axis=0), velocity + walk

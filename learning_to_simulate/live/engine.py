@@ -6,7 +6,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import tensorflow as tf
 
-from learning_to_simulate import loads
 from learning_to_simulate.body_height import without_height
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.live import poses
@@ -31,7 +30,6 @@ class Frame(NamedTuple):
       pose: float64 [7], position (m) and quaternion (w, x, y, z) of the body; None where the body
         is given by its particles, or they do not fix one.
       force: [D] on the body, N, or [B, D] on several; None where the scene has no force.
-      torque: [D] about the body's reference point, N m, where the model predicts one.
       now: the status of this frame alone.
     """
 
@@ -40,8 +38,9 @@ class Frame(NamedTuple):
     rigid_pose: np.ndarray
     pose: np.ndarray | None
     force: np.ndarray | None
-    torque: np.ndarray | None = None
     now: RolloutStatus = RolloutStatus.OK
+
+    torque = None  # none of these models predicts one
 
     def __repr__(self) -> str:
         values = [] if self.force is None else [f'{value:.4g}' for value in np.ravel(self.force)]
@@ -154,17 +153,16 @@ class SubspaceEngine:
             judgement = ranges.start(history[-1], start.context, before)
         self._now, self._ranges, self._start = step, ranges, start
         self._body = history[-1, :n]
-        force, torque = self._split(np.zeros(self._model.simulator.load_size, np.float32))
+        force = self._by_body(np.zeros(self._model.simulator.force_size, np.float32))
         soil = Soil(history[-1, n:], self._decoder)
-        return Frame(judgement, soil, self._body, start.pose, force, torque)
+        return Frame(judgement, soil, self._body, start.pose, force)
 
-    def _split(self, load):
-        """Force, on several bodies one each, and torque of loads [F]."""
-        simulator, bodies = self._model.simulator, self.scene.bodies
-        force, torque = loads.split(load if simulator.load_size else None, simulator.statistics)
-        if force is not None and simulator.force_size > simulator.dim:
-            force = force.reshape(len(bodies), simulator.dim)
-        return force, torque
+    def _by_body(self, force):
+        """The force [F] as [D], or on several bodies [B, D]; None where there is none."""
+        simulator = self._model.simulator
+        if not simulator.force_size:
+            return None
+        return force.reshape(-1, simulator.dim) if simulator.force_size > simulator.dim else force
 
     def propose(self, number: int, coming, context=None, dt: float | None = None) -> Frame:
         """The frame in which the body reaches a pose.
@@ -192,17 +190,16 @@ class SubspaceEngine:
         if coming is not None:
             body = start.nodes(coming)
             displacement = body - self._body
-        position, load = self._now.propose(body, displacement, context)
-        flat, torque = loads.split(load, self._model.simulator.statistics)
-        judgement = self._ranges.judge(number, position, flat, torque, body, self._body, context)
-        force, _ = self._split(load)
-        for values in (position, force, torque):
+        position, flat = self._now.propose(body, displacement, context)
+        judgement = self._ranges.judge(number, position, flat, body, self._body, context)
+        force = self._by_body(flat)
+        for values in (position, force):
             if values is not None:
                 values.setflags(write=False)
         self._coming = body
         pose = self._pose(coming, position[:n])
         soil = Soil(position[n:], self._decoder)
-        return Frame(judgement, soil, position[:n], pose, force, torque)
+        return Frame(judgement, soil, position[:n], pose, force)
 
     def accept(self) -> None:
         """Takes the frame that was proposed last as the newest one."""
@@ -304,7 +301,7 @@ class TfStep:
           context: float64 [C] from that frame on; None leaves it as it was.
 
         Returns:
-          float64 [V, D] positions, m, and float32 [F] loads (see `loads`), or None.
+          float64 [V, D] positions, m, and float32 [F] force, N, or None.
 
         Raises:
           ValueError: a path that leads farther than its memory reaches.
@@ -321,10 +318,10 @@ class TfStep:
             path = tf.constant(memory.values(self._coming))
             known = known._replace(path=path, start=self._start)
         context = self._context if context is None else tf.constant(context[None], tf.float32)
-        after, load = self._call(self._state, known, context, self._shape)
+        after, force = self._call(self._state, known, context, self._shape)
         self._proposed = after, context
         position = after.offset.numpy()[0] + self._layout.origin
-        return position, None if load is None else load.numpy()[0]
+        return position, None if force is None else force.numpy()[0]
 
     def accept(self) -> None:
         """Takes the frame that was proposed last as the newest one."""

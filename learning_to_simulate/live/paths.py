@@ -7,9 +7,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from learning_to_simulate import reading_utils
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
-from learning_to_simulate.evaluation import soil_of_run, torque_of, total_force
+from learning_to_simulate.evaluation import soil_of_run, total_force
 from learning_to_simulate.live import poses
 from learning_to_simulate.live.starts import Start
 from learning_to_simulate.rollout_status import Judgement, RolloutStatus
@@ -35,8 +34,6 @@ class SoilRollout:
       truth: (modes [H + T', r, 3], body [H + T', R', 3], force [H + T', 3] or None) of a recorded
         run; None of a path.
       name: for files and titles.
-      torque: float32 [T', 3] about the body's reference point, N m, where the model predicts one.
-      true_torque: float64 [H + T', 3] of a recorded run, where there is a `torque`; else None.
       soil_truth: `soil_truth.SoilTruth` of a recorded run, else None.
       sampled: float64 [F, P, 3], m: the predicted particles that it is compared with.
     """
@@ -51,8 +48,6 @@ class SoilRollout:
     scene: Scene
     truth: tuple | None = None
     name: str = 'rollout'
-    torque: np.ndarray | None = None
-    true_torque: np.ndarray | None = None
     soil_truth: SoilTruth | None = None
     sampled: np.ndarray | None = None
 
@@ -139,15 +134,11 @@ class SoilRollout:
             true_modes, true_body, true_force = self.truth
             truth = np.concatenate([true_body, true_modes], axis=1)[H:]
             arrays['ground_truth_rollout'] = truth.astype(np.float32)
-        for name, predicted, true in (
-            ('forces', self.force, true_force),
-            ('torques', self.torque, self.true_torque),
-        ):
-            if predicted is not None:
-                arrays[f'predicted_{name}'] = predicted
-            if true is not None:
-                arrays[f'initial_{name}'] = true[:H].astype(np.float32)
-                arrays[f'ground_truth_{name}'] = true[H:].astype(np.float32)
+        if self.force is not None:
+            arrays['predicted_forces'] = self.force
+        if true_force is not None:
+            arrays['initial_forces'] = true_force[:H].astype(np.float32)
+            arrays['ground_truth_forces'] = true_force[H:].astype(np.float32)
         if self.soil_truth is not None and self.soil_truth.space == PARTICLES:
             arrays['predicted_particles'] = self.sampled.astype(np.float32)
             arrays['particle_frames'] = self.soil_truth.frames
@@ -206,11 +197,9 @@ def roll_out(stepper, path, velocity=None, case=None, context=None) -> SoilRollo
     rigid_nodes = np.stack([frame.rigid_pose for frame in frames])
     path = np.concatenate([start.past(), values[1:]]) if known else None
     nodes = np.concatenate([history[:, :n], rigid_nodes])
-    loads = (
-        None if part[0] is None else np.array(part, np.float32)
-        for part in zip(*((frame.force, frame.torque) for frame in frames))
-    )
-    force, torque = loads
+    force = None
+    if frames[0].force is not None:
+        force = np.array([frame.force for frame in frames], np.float32)
     return SoilRollout(
         history=history,
         soils=[frame.soil for frame in frames],
@@ -220,7 +209,6 @@ def roll_out(stepper, path, velocity=None, case=None, context=None) -> SoilRollo
         frame_status=tuple(frame.now for frame in frames),
         body=_whole_body(start, path, nodes, scene),
         scene=scene,
-        torque=torque,
     )
 
 
@@ -241,7 +229,6 @@ def of_recorded_run(group, rollout, scene, soils, name: str) -> SoilRollout:
     predicted = group.all_particles(np.concatenate([history[None], rollout.position], axis=1))[0]
     n_body = true.shape[1] - scene.n_modes - group.n_left_modes
     modes = slice(n_body, n_body + scene.n_modes)
-    torque = torque_of(rollout)
     soil_truth, sampled = soil_of_run(group, rollout, scene)
     bad = np.arange(H, len(true)) >= (judgement.frame if judgement.frame >= 0 else len(true))
     return SoilRollout(
@@ -259,8 +246,6 @@ def of_recorded_run(group, rollout, scene, soils, name: str) -> SoilRollout:
             None if group.force is None else total_force(group.force[0]),
         ),
         name=name,
-        torque=torque,
-        true_torque=None if torque is None or group.torque is None else group.torque[0],
         soil_truth=soil_truth,
         sampled=sampled,
     )
@@ -277,8 +262,7 @@ def _whole_body(start, path, nodes, scene) -> np.ndarray:
     """All particles [T, R', 3], m, of the body of a start in the frames of its poses [T, 7] (None
     where it is predicted), of which the model placed `nodes` [T, R, 3]."""
     if path is None:
-        fits = reading_utils.moved_with(start.body, start.kept)
-        return np.stack([fits(points) for points in nodes])
+        return nodes  # all of its particles are
     placed = np.stack([poses.placed(start.body, pose) for pose in path])
     if scene.rigid_motion == RigidMotion.DRIVEN:  # the height is the model's
         up = scene.up_axis

@@ -37,16 +37,12 @@ def refuse(simulator) -> None:
         raise ValueError(
             f'model {config.model!r} has no C form; exported are {", ".join(EXPORTED_MODELS)}'
         )
-    if config.predict_torque:
-        raise ValueError('predict_torque: the C form has no torque of a model in a subspace')
     simulator.scene.check_one_body('the C form')
     if simulator.dim != 3:
         raise ValueError(f'the model has {simulator.dim} axes, the C form has 3')
     names = [feature.name for feature in features.of(simulator)]
     if names != [name for name in _FEATURES if name in names]:
         raise ValueError(f'the model has inputs {names}, the C form knows {list(_FEATURES)}')
-    if config.surface_height and config.model != 'gns':
-        raise ValueError('surface_height needs a graph')
 
 
 def values(model, n_rigid: int, subspace=None, starts=None, rigid_correction: bool = True) -> dict:
@@ -87,9 +83,7 @@ def values(model, n_rigid: int, subspace=None, starts=None, rigid_correction: bo
         'rigid_order': config.rigid_order,
         'has_log_context': int(s.log_context_mean is not None),
         'has_height': int(motion == RigidMotion.DRIVEN and not config.is_published),
-        'has_surface': int(bool(config.surface_height)),
         'dt': scene.dt,
-        'surface': config.surface_height,
         'rate_floor': RATE_FLOOR,
         'origin': layout.origin,
         'norm_epsilon': LAYER_NORM_EPSILON,

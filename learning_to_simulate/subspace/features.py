@@ -96,11 +96,11 @@ def _start(view):
 
 
 def _has_state(simulator):
-    return simulator.config.state_inputs
+    return not simulator.config.reads_path
 
 
 def _has_positions(simulator):
-    return simulator.config.state_inputs and not simulator.config.is_published
+    return _has_state(simulator) and not simulator.config.is_published
 
 
 TABLE = (
@@ -124,11 +124,11 @@ TABLE = (
         lambda s: INPUT_SEQUENCE_LENGTH, _height,
     ),
     Feature(
-        'path', SCENE, lambda s: s.config.path_inputs, lambda s: path_memory.WIDTH,
+        'path', SCENE, lambda s: s.config.reads_path, lambda s: path_memory.WIDTH,
         lambda view: view.known.path[:, None],
     ),
     Feature(
-        'start', SCENE, lambda s: s.config.path_inputs,
+        'start', SCENE, lambda s: s.config.reads_path,
         lambda s: s.dim * min(START_MODES, s.scene.n_modes), _start,
     ),
     Feature(

@@ -11,7 +11,7 @@ import numpy as np
 import sonnet as snt
 import tensorflow as tf
 
-from learning_to_simulate import loads, normalization
+from learning_to_simulate import normalization
 from learning_to_simulate.body_height import up_vector
 from learning_to_simulate.checkpoints import NUM_PARTICLE_TYPES
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH, TrainConfig
@@ -123,10 +123,12 @@ class LearnedSimulator(snt.Module):
         self.scene, self.config, self.statistics = scene, config, statistics
         self.particle_types = particle_types
         self.dim = statistics.origin.shape[1]
-        mean = statistics.force_mean
-        self.force_size = 0 if mean is None else len(mean)  # D of each body
-        self.load_mean, self.load_std = (x.astype(np.float32) for x in loads.scale(statistics))
-        self.load_size = len(self.load_mean)  # F: of the force, and of the torque where predicted
+        self.force_mean, self.force_std = (
+            None if x is None else x.astype(np.float32)
+            for x in (statistics.force_mean, statistics.force_std)
+        )
+        # F: D of each body.
+        self.force_size = 0 if self.force_mean is None else len(self.force_mean)
         self._make_network()
 
     def _make_network(self):
@@ -135,7 +137,7 @@ class LearnedSimulator(snt.Module):
             config.latent_size,
             config.hidden_layers,
             config.message_passing_steps,
-            output_size=self.dim + self.load_size,
+            output_size=self.dim + self.force_size,
             mean_aggregation=not config.is_published,
         )
         rows = scene.n_modes + max(len(scene.bodies), 1)
@@ -206,39 +208,19 @@ class LearnedSimulator(snt.Module):
         """Normalised predictions.
 
         Returns:
-          target [B, V, D] (displacement or acceleration over its statistics), and the loads over
-          their statistics [B, F] (`loads`; mean over the nodes' decoded ones, Haeri & Skonieczny
-          2021) or None.
+          target [B, V, D] (displacement or acceleration over its statistics), and the force over
+          its statistics [B, F] (mean over the nodes' decoded ones, Haeri & Skonieczny 2021) or
+          None.
         """
-        target, load = self._decoded(state, known, context, layout)
-        return self._of_height(target, layout), load
+        target, force = self._decoded(state, known, context, layout)
+        return self._of_height(target, layout), force
 
     def _decoded(self, state, known, context, layout):
-        """The network's target [B, V, D] and loads [B, F] or None."""
+        """The network's target [B, V, D] and force [B, F] or None."""
         nodes, edges = self.features(state, known, context, layout)
-        gates = self._edge_gates(state, layout)
-        decoded = self._network(nodes, edges, layout.senders, layout.receivers, gates)
-        load = tf.reduce_mean(decoded[..., self.dim :], axis=1) if self.scene.has_force else None
-        return decoded[..., : self.dim], load
-
-    def _edge_gates(self, state, layout):
-        """Weights of the messages in the frame after `state`, float32 [B or 1, E] in [0, 1]; None
-        where all edges last.
-
-        A rigid particle above the ground has no edges: the dynamic graph that Usmani & Skonieczny
-        2023 (4.1) propose. Compiled graphs have fixed shapes, so absent edges are computed and
-        weighted by 0: it changes what is predicted, and saves nothing.
-        """
-        surface = self.config.surface_height
-        if not surface:
-            return layout.edge_gates
-        n, up = layout.n_rigid, self.scene.up_axis
-        height = state.offset[:, :n, up] + tf.cast(layout.origin[:n, up], state.offset.dtype)
-        in_soil = tf.cast(height <= np.float32(surface), tf.float32)
-        present = tf.pad(in_soil, [[0, 0], [0, layout.n_node - n]], constant_values=1.0)
-        ends = (tf.gather(present, index, axis=1) for index in (layout.senders, layout.receivers))
-        gates = tf.multiply(*ends)
-        return gates if layout.edge_gates is None else gates * layout.edge_gates
+        decoded = self._network(nodes, edges, layout.senders, layout.receivers, layout.edge_gates)
+        force = tf.reduce_mean(decoded[..., self.dim :], axis=1) if self.scene.has_force else None
+        return decoded[..., : self.dim], force
 
     def rate(self, known):
         """Displacement of the body in the coming frame over its mean in training, [B, 1, 1].
@@ -274,11 +256,10 @@ class LearnedSimulator(snt.Module):
           layout: of the graphs.
 
         Returns:
-          the next `SimulatorState` and the loads on the body [B, F], or None: the force, N, and
-          behind it the torque, N m, where the model predicts it (`loads.split`).
+          the next `SimulatorState` and the force on the body [B, F], N, or None.
         """
         seen = known if self.knows_next_frame else None
-        target, load = self.predict(state, seen, context, layout)
+        target, force = self.predict(state, seen, context, layout)
         # v' = rate (std y + mean), plus v where an acceleration is predicted, and start - x where a
         # place is; x' = x + v'.
         velocity = (target * layout.target_std + layout.target_mean) * self.rate(known)
@@ -287,14 +268,14 @@ class LearnedSimulator(snt.Module):
         if self.scene.rigid_motion.is_known:
             velocity, offset = self._place_body(state, velocity, offset, known, layout)
         history = tf.concat([state.velocity[:, :, 1:], velocity[:, :, None]], axis=2)
-        if load is not None:
+        if force is not None:
             # F = std y + mean, times the share in [0, 1] that a body may show so far from the soil.
-            load = load * self.load_std + self.load_mean
+            force = force * self.force_std + self.force_mean
             if layout.contact is not None:
                 n = layout.n_rigid
                 body = known.offset + layout.origin[:n].astype(np.float32)
-                load *= layout.contact.share(body, state.offset[:, n:])[:, None]
-        return SimulatorState(offset, history), load
+                force *= layout.contact.share(body, state.offset[:, n:])[:, None]
+        return SimulatorState(offset, history), force
 
     def _base_velocity(self, state, known, layout):
         """The velocity that the prediction is added to: none (order 1), the last one (order 2), or

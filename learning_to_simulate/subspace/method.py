@@ -33,23 +33,15 @@ def make_model(data_path, metadata, groups, config, rigid_motion=None) -> Model:
       rigid_motion: override of the scene's, or None.
 
     Raises:
-      ValueError: edges that do not fit the dataset, a scene that the config cannot model, or no
-        torque where one is to be predicted.
+      ValueError: edges that do not fit the dataset, or a scene that the config cannot model.
     """
     scene = reading_utils.read_scene(data_path, metadata, groups, rigid_motion)
     driven = rigid_motion is None and scene.rigid_motion == RigidMotion.DRIVEN
-    if config.predict_driven_body and driven:
+    if config.is_published and driven:
         scene = reading_utils.read_scene(data_path, metadata, groups, str(RigidMotion.PREDICTED))
-    if config.predict_torque:
-        scene.check_one_body('predict_torque')
-        stated = scene.has_force and 'rigid_body_torque_mean' in metadata
-        if not stated or any(g.torque is None for g in groups):
-            raise ValueError(
-                f'predict_torque: {data_path} does not hold force and torque of every training run'
-            )
     statistics = normalization.compute_statistics(groups, metadata, scene, config)
     further = {}
-    if config.path_inputs:
+    if config.reads_path:
         memory = _path_memory(data_path, metadata, groups, scene)
         further['path'] = memory.to_statistics()
     space_path = os.path.join(data_path, checkpoints.SUBSPACE_FILE)
@@ -74,7 +66,7 @@ def make_model(data_path, metadata, groups, config, rigid_motion=None) -> Model:
 def _path_memory(data_path, metadata, groups, scene):
     if scene.rigid_motion != RigidMotion.PRESCRIBED or scene.bodies:
         raise ValueError(
-            f'path_inputs needs one body whose whole motion is given (prescribed); in {data_path} '
+            f'mode_order 0 needs one body whose whole motion is given (prescribed); in {data_path} '
             f'it is {scene.rigid_motion}, bodies {len(scene.bodies) or 1}'
         )
     bodies = [g.position[:, :, : g.n_rigid] for g in groups]
@@ -152,8 +144,6 @@ def open_model(model_path, data_path, split, overrides=None, raw_path=None) -> O
       FileNotFoundError: no model, dataset or split there.
       ValueError: an override contradicts the model, or the dataset does not fit it.
     """
-    from learning_to_simulate.penetration import Penetration  # a model that is run does without
-
     def one_step_errors():
         from learning_to_simulate.subspace.trainer import Trainer
 
@@ -167,6 +157,5 @@ def open_model(model_path, data_path, split, overrides=None, raw_path=None) -> O
     groups = reading_utils.read_groups(data_path, split, metadata, **config.nodes)
     for group in groups:
         model.layout(group.n_rigid)
-    more = Penetration.of_dataset(data_path, metadata, split, model.simulator.scene)
-    evaluator = evaluation.Evaluator(model, metadata, more=more)
+    evaluator = evaluation.Evaluator(model, metadata)
     return OpenedModel(model, groups, metadata, evaluator, one_step_errors)

@@ -128,7 +128,7 @@ def read_parts(path: str) -> Parts:
     with checkpoints.refusing_wrong_fields(path):
         config, scene, types = checkpoints.settings_and_scene(values, TrainConfig)
         statistics = Statistics.from_json(values['statistics'])
-        statistics.check(scene, config.predict_torque)
+        statistics.check(scene)
         n_rigid, source = values['n_rigid'], values.get('edge_source')
         require(is_int(n_rigid, 0, MAX_RIGID), 'n_rigid', n_rigid)
         require(isinstance(source, str | None), 'edge_source', source)

@@ -100,17 +100,14 @@ def _shifted(group, shift, rest, axis, across, middle):
     body[..., axis] += shift.distance
     # Scores count from the resting bed: s' = rest + M (s - rest).
     modes = np.einsum('qr,strd->stqd', shift.matrix, group.position[:, :, n:] - rest)
-    force, torque = (None if x is None else x.copy() for x in (group.force, group.torque))
+    force = None if group.force is None else group.force.copy()
     if shift.is_mirrored:
         body[..., across] = 2.0 * middle - body[..., across]
         modes[..., across] *= -1.0
         if force is not None:
             force[..., across] *= -1.0
-        if torque is not None:  # a mirror turns what of a torque does not point across it
-            torque *= -1.0
-            torque[..., across] *= -1.0
     position = np.concatenate([body, modes + rest], axis=2)
-    return dataclasses.replace(group, position=position, force=force, torque=torque)
+    return dataclasses.replace(group, position=position, force=force)
 
 
 def _joined(groups):
@@ -121,7 +118,7 @@ def _joined(groups):
             name: None
             if getattr(groups[0], name) is None
             else np.concatenate([getattr(g, name) for g in groups])
-            for name in ('position', 'force', 'torque', 'context', 'record')
+            for name in ('position', 'force', 'context', 'record')
         },
         body=None,
         kept=None,

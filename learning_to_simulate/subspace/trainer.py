@@ -12,7 +12,6 @@ from typing import NamedTuple
 import numpy as np
 import tensorflow as tf
 
-from learning_to_simulate import loads
 from learning_to_simulate.body_height import up_vector
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.scene import RigidMotion
@@ -27,7 +26,6 @@ CLIP_NORM = 1.0  # largest norm of the gradient of all weights
 _WINDOW_STREAM, _NOISE_STREAM, _GROUP_STREAM, _EVALUATION_STREAM, _GATE_STREAM = 1, 2, 3, 4, 5
 # The force error of a run is counted in units of the run's own force, because that is how it is
 # judged (relative L2); a run with less than this share of the largest force counts as if it had it.
-# So is the torque error.
 FORCE_FLOOR = 0.02
 
 
@@ -149,7 +147,7 @@ class Trainer(GradientTraining):
         if config.noise_std == 0 or seed is None:
             return state
         std = np.full(layout.velocity_std.shape, config.noise_std, np.float32)
-        if config.noise_relative:
+        if not config.is_published:
             std *= layout.velocity_std
         noise = noise_utils.random_walk_velocity_noise(
             state.velocity.shape, std * (layout.moving > 0), seed
@@ -158,7 +156,7 @@ class Trainer(GradientTraining):
             # One degree of freedom: every rigid particle carries the same noise, on the scale of
             # the height.
             factor = 1.0
-            if config.noise_relative:
+            if not config.is_published:
                 factor = s.height_velocity_std[0] / layout.velocity_std[0, scene.up_axis]
             up = up_vector(self.simulator.dim, scene.up_axis)
             body = tf.tile(noise[:, :1] * up * np.float32(factor), [1, layout.n_rigid, 1, 1])
@@ -181,11 +179,11 @@ class Trainer(GradientTraining):
         known = self._known(w, layout, H)
         moved = w.velocity[:, H] if self.config.mode_order else w.offset[:, H] - state.offset
         target = simulator.normalized_target(moved, state, known, layout)
-        predicted, load = simulator.predict(state, known, w.context(H), layout)
+        predicted, force = simulator.predict(state, known, w.context(H), layout)
         error = predicted - target
         values = training_loss(
-            error[:, None], layout.loss_weight, None if load is None else load[:, None],
-            None if w.load is None else w.load[:, H:], w.load_weights,
+            error[:, None], layout.loss_weight, None if force is None else force[:, None],
+            None if w.force is None else w.force[:, H:], w.force_weight,
         )  # fmt: skip
         # Of the displacement, m: what is normalised is multiplied back.
         error = error * layout.target_std * simulator.rate(known) * layout.moving
@@ -195,20 +193,20 @@ class Trainer(GradientTraining):
         n, layout, simulator = self.config.unroll_length, tensors.layout, self.simulator
         w = tensors.windows(batch_size, H + n, window_seed)
         state = initial_state(w.offset[:, :H], w.velocity[:, 1:H])
-        offsets, stepped, load = [], [], None
+        offsets, stepped, force = [], [], None
         for k in range(H, H + n):
             state, of_frame = simulator.step(state, self._known(w, layout, k), w.context(k), layout)
             offsets.append(state.offset)
             stepped.append(of_frame)
-        if w.load is not None:
-            load = (tf.stack(stepped, 1) - simulator.load_mean) / simulator.load_std
+        if w.force is not None:
+            force = (tf.stack(stepped, 1) - simulator.force_mean) / simulator.force_std
         # Errors are counted in units of each node's own velocity scale.
         scale, height = layout.velocity_std.copy(), simulator.statistics.height_velocity_std
         if height is not None:
             scale[: layout.n_rigid, simulator.scene.up_axis] = height[0]
         error = (tf.stack(offsets, 1) - w.offset[:, H:]) / scale
-        true_load = None if w.load is None else w.load[:, H:]
-        return training_loss(error, layout.loss_weight, load, true_load, w.load_weights)
+        true_force = None if w.force is None else w.force[:, H:]
+        return training_loss(error, layout.loss_weight, force, true_force, w.force_weight)
 
 
 class Windows(NamedTuple):
@@ -216,15 +214,15 @@ class Windows(NamedTuple):
 
     offset: tf.Tensor  # [B, K, V, D]
     velocity: tf.Tensor  # [B, K, V, D]
-    load: tf.Tensor | None  # [B, K, F], normalised
+    force: tf.Tensor | None  # [B, K, F], normalised
     context: Callable  # called with a frame of the windows it gives [B, C] or None
-    load_weights: list  # for each load [B], see `training_loss`
+    force_weight: tf.Tensor | None  # [B], see `training_loss`
     path: tf.Tensor | None  # [B, K, P] and [B, r, D] of `KnownMotion`
     start: tf.Tensor | None
 
 
 class GroupTensors:
-    """Runs of one group as float32 tensors: offsets from the origin, velocities, loads, context."""
+    """Runs of one group as float32 tensors: offsets from the origin, velocities, force, context."""
 
     def __init__(self, group, layout, simulator):
         self.layout = layout
@@ -237,18 +235,17 @@ class GroupTensors:
         # Differences in float64 before the cast: see the note on state in `learned_simulator`.
         offset = group.position - layout.origin
         self.offset, self.velocity = flat(offset), flat(group.velocity)
-        self.load_weights, normalised = [], []
-        scales = loads.scales(simulator.statistics)
-        for load, (mean, std) in zip((group.force, group.torque), scales):
-            normalised.append((load - mean) / std)
+        self.force = self.force_weight = None
+        if simulator.scene.has_force:
+            mean, std = simulator.statistics.force_mean, simulator.statistics.force_std
+            self.force = flat((group.force - mean) / std)
             # (std / rms of the run)^2 turns squared errors over `std` into relative ones.
             weight = np.ones(self.n_run)
             if not simulator.config.is_published:
-                size = np.sqrt((load**2).sum(axis=-1).mean(axis=1))
+                size = np.sqrt((group.force**2).sum(axis=-1).mean(axis=1))
                 floor = FORCE_FLOOR * size.max() or std[0]  # all zero: no weights
                 weight = (std[0] / np.maximum(size, floor)) ** 2
-            self.load_weights.append(tf.constant(weight, tf.float32))
-        self.load = flat(np.concatenate(normalised, axis=-1)) if normalised else None
+            self.force_weight = tf.constant(weight, tf.float32)
         self._context_by_frame, self.context = group.context_changes, None
         if simulator.statistics.context_mean is not None:
             rows = group.context.reshape(-1, group.context.shape[-1])
@@ -289,24 +286,23 @@ class GroupTensors:
 
         return Windows(
             tf.gather(self.offset, frames), tf.gather(self.velocity, frames),
-            gather(self.load, frames), context,
-            [tf.gather(weight, run) for weight in self.load_weights],
+            gather(self.force, frames), context, gather(self.force_weight, run),
             gather(self.path, frames), gather(self.start, run),
         )  # fmt: skip
 
 
-def training_loss(error, moving, load, true_load, load_weights) -> dict[str, tf.Tensor]:
+def training_loss(error, moving, force, true_force, force_weight) -> dict[str, tf.Tensor]:
     """Loss over N frames: Usmani & Skonieczny 2023, eq. 13, for N = 1.
 
     Args:
       error: [B, N, V, D], of the nodes in units of their scale.
       moving: [V, D], weights of the components; 0 for given ones.
-      load, true_load: [B, N, F], normalised; equal parts for the names of `loads`. Or None.
-      load_weights: for each of the parts, [B] or 1, of each graph's squared error.
+      force, true_force: [B, N, F], normalised, or None.
+      force_weight: [B] or 1, of each graph's squared error.
 
     Returns:
-      dict of scalars: `loss`, `loss_mse` (sum of squares per moving node), `loss_force_mse` and
-      `loss_torque_mse`, as far as there are weights.
+      dict of scalars: `loss`, `loss_mse` (sum of squares per moving node) and, of a force,
+      `loss_force_mse`.
     """
     n_step, dim = error.shape[1], error.shape[-1]
     # L = mean over graphs and frames k of 1/k sum over nodes of |error|^2 / moving nodes
@@ -314,10 +310,8 @@ def training_loss(error, moving, load, true_load, load_weights) -> dict[str, tf.
     n_moving = tf.reduce_sum(moving) / dim
     weight = 1.0 / tf.range(1, n_step + 1, dtype=error.dtype)
     motion = tf.reduce_mean(tf.reduce_sum(error**2 * moving, axis=[2, 3]) * weight / n_moving)
-    parts = {}
-    if true_load is not None:
-        of_loads = tf.split(load - true_load, len(load_weights), axis=-1)
-        for name, off, of_run in zip(loads.NAMES, of_loads, load_weights, strict=False):
-            of_graph = tf.reduce_mean(tf.reduce_sum(off**2, axis=-1), axis=1)
-            parts[f'loss_{name}_mse'] = tf.reduce_mean(of_graph * of_run)
-    return {'loss': sum(parts.values(), motion), 'loss_mse': motion, **parts}
+    if true_force is None:
+        return {'loss': motion, 'loss_mse': motion}
+    of_graph = tf.reduce_mean(tf.reduce_sum((force - true_force) ** 2, axis=-1), axis=1)
+    of_force = tf.reduce_mean(of_graph * force_weight)
+    return {'loss': motion + of_force, 'loss_mse': motion, 'loss_force_mse': of_force}

@@ -46,7 +46,7 @@ class WholeStateSimulator(LearnedSimulator):
         if self._network is None:
             self._n_rigid = n_rigid
             rows = self._rigid_rows() + self.scene.n_modes
-            self._network = self._make(self.config, rows * self.dim + self.load_size)
+            self._network = self._make(self.config, rows * self.dim + self.force_size)
         if n_rigid != self._n_rigid:
             raise ValueError(
                 f'model {self.config.model!r} was made for {self._n_rigid} rigid particles and '
@@ -67,7 +67,7 @@ class WholeStateSimulator(LearnedSimulator):
             f.name: features.values_of(f, view) for f in features.of(self) if f.name != 'embedding'
         }
         # [B, V, K D] of velocities -> [B, K, V D], a frame behind the other.
-        count = self.config.velocity_inputs if self.config.state_inputs else 0
+        count = 0 if self.config.reads_path else self.config.velocity_inputs
         velocities = found.pop('velocity', tf.zeros([n_graph, layout.n_node, 0]))
         history = tf.reshape(velocities, [n_graph, layout.n_node, count, self.dim])
         history = tf.transpose(history, [0, 2, 1, 3])

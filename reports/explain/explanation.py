@@ -53,10 +53,8 @@ class Explanation:
         opened = registry.open_model(model_path, data_path, 'test')
         model, metadata, groups = opened.model, opened.metadata, opened.groups
         self._simulator = simulator = model.simulator
-        if not simulator.config.has_lasting_graph:
-            raise ValueError(
-                f'{model_path}: model {simulator.config.model!r} has no graph that lasts'
-            )
+        if not simulator.config.has_graph:
+            raise ValueError(f'{model_path}: model {simulator.config.model!r} has no graph')
         self._calls: dict[str, tuple] = {}
         group = groups[0].select(0)
         self.layout = layout = model.layout(group.n_rigid)

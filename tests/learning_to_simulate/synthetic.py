@@ -8,7 +8,6 @@ from pca_tools import dataset, files, packing, particles, subspace
 
 N_MODES, N_FRAMES, N_SOIL = 3, 40, 50
 RADIUS = 0.1
-LEVER = np.array([0.03, -0.12, 0.05])  # m, from the reference point to where the force acts
 
 
 def _body(rng, n_rigid, motion):
@@ -32,10 +31,9 @@ def _body(rng, n_rigid, motion):
     )
 
 
-def make_trajectory(seed, n_rigid=4, motion='prescribed', context=False, force=True, torque=False):
-    """One run: modes move in proportion to the body, the force follows its depth and speed, the
-    torque is that of the force at `LEVER`; a `context` of True is constant, one of 'changing' is
-    not."""
+def make_trajectory(seed, n_rigid=4, motion='prescribed', context=False, force=True):
+    """One run: modes move in proportion to the body, the force follows its depth and speed;
+    a `context` of True is constant, one of 'changing' is not."""
     rng = np.random.default_rng(seed)
     body = _body(rng, n_rigid, motion)
     step = np.diff(body.mean(axis=1), axis=0, prepend=body[:1].mean(axis=1))
@@ -56,7 +54,6 @@ def make_trajectory(seed, n_rigid=4, motion='prescribed', context=False, force=T
         position=np.concatenate([body, modes], axis=1).astype(np.float32),
         force=forces.astype(np.float32) if force else None,
         step_context=values,
-        torque=np.cross(LEVER, forces).astype(np.float32) if torque else None,
     )
 
 
@@ -67,7 +64,6 @@ def write_dataset(
     context=False,
     force=True,
     n_run=4,
-    torque=False,
 ):
     """Writes train, valid and test splits with metadata; returns the folder as a string.
 
@@ -83,7 +79,6 @@ def write_dataset(
                 motion,
                 context,
                 force,
-                torque,
             )
             for i in range(count)
         ]
@@ -115,10 +110,10 @@ def write_dataset(
     }
     for name, values in (('vel', velocity), ('acc', acceleration)):
         metadata |= {f'{name}_mean': values.mean(0).tolist(), f'{name}_std': values.std(0).tolist()}
-    for name in ['force'] * force + ['torque'] * torque:
-        values = np.concatenate([getattr(r, name) for r in train])
-        metadata[f'rigid_body_{name}_mean'] = values.mean(0).tolist()
-        metadata[f'rigid_body_{name}_std'] = values.std(0).tolist()
+    if force:
+        values = np.concatenate([r.force for r in train])
+        metadata['rigid_body_force_mean'] = values.mean(0).tolist()
+        metadata['rigid_body_force_std'] = values.std(0).tolist()
     if context:
         values = np.concatenate([r.step_context for r in train])
         metadata |= {'context_mean': values.mean(0).tolist(), 'context_std': values.std(0).tolist()}

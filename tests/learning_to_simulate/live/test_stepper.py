@@ -63,12 +63,8 @@ CASES = {
     },
     'without a graph': {'preset': 'mlp', 'overrides': {'mode_edges': 0}},
     'path alone': {'preset': 'mlp_driven', 'overrides': {'mode_edges': 0}},
-    'path and graph': {'overrides': {'path_inputs': True, 'mode_order': 0, 'rate_scaled': False}},
-    'edges that follow the tool': {'overrides': {'surface_height': 0.3}},
     'no force': {'force': False},
-    'driven, some edges': {
-        'motion': 'driven', 'overrides': {'surface_height': 0.3, 'message_passing_steps': 2}
-    },
+    'driven, two steps': {'motion': 'driven', 'overrides': {'message_passing_steps': 2}},
 }  # fmt: skip
 
 

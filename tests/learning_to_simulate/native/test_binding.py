@@ -126,7 +126,7 @@ def test_status_agrees_with_the_judgement_of_rollouts(tmp_path, motion):
             continue  # a context is judged with the start, and not in each frame
         for k, frame in enumerate(frames, H):
             body = truth[k, :n], truth[k - 1, :n]
-            now = ranges.judge(k, position[k - H], frame.force, None, *body)
+            now = ranges.judge(k, position[k - H], frame.force, *body)
             assert next((kind for kind, bit in bits if frame.status & bit), 'ok') == now.status
             alone.add(now.status)
     assert len(seen) == len(alone) == 4

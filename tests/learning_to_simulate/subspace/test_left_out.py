@@ -5,17 +5,15 @@ import pytest
 
 from learning_to_simulate import (
     checkpoints,
-    connectivity_utils,
     evaluation,
     presets,
     reading_utils,
     registry,
 )
-from pca_tools import dataset, files, rigid_fit, subspace
+from pca_tools import dataset, files, subspace
 from tests.learning_to_simulate import models, synthetic
 
 H = 6
-RING = {'motion': 'driven', 'rigid_counts': (8,), 'overrides': {'rigid_stride': 2}}
 TWO_MODES = {'overrides': {'modes': 2, 'mode_edges': 4}}
 
 
@@ -65,31 +63,6 @@ def test_fewer_modes_make_particles_and_are_loaded_again(tmp_path):
         reading_utils.read_groups(str(tmp_path / 'data'), 'test', metadata, modes=4)
 
 
-def test_thinned_ring_keeps_its_height_and_comes_back_rigid(tmp_path):
-    model, (group, *_), _ = models.make(tmp_path, **RING)
-    run = dataset.read_split(str(tmp_path), 'train')[0]
-    body = run.position[:, :8].astype(np.float64)
-    np.testing.assert_array_equal(group.kept[0], [0, 2, 4, 6])
-    height = body[:, :, 1].mean(axis=1) - body[0, :, 1].mean()
-    kept = group.position[0, :, :4, 1].mean(axis=1)
-    # What the model predicts is the height of the axle, not of some point that turns around it.
-    np.testing.assert_allclose(kept - kept[0], height, atol=1e-6)
-    position = models.rolled(model, group.select(0)).position
-    (whole,) = group.select(0).all_particles(position)
-    # The untrained height differs from the true one; everything else is given.
-    lift = position[0, :, :4, 1].mean(axis=1) - group.position[0, H:, :4, 1].mean(axis=1)
-    expected = body[H:] + lift[:, None, None] * [0.0, 1.0, 0.0]
-    assert np.abs(lift).max() > 1e-3
-    np.testing.assert_allclose(whole[:, :8], expected, atol=1e-5)
-    for frame in whole[[0, -1]]:
-        assert rigid_fit.fit_rigid_motion(body[0], frame[:8]).residual < 1e-5
-    (true,) = group.select(0).all_particles(group.position[:1], as_recorded=True)
-    np.testing.assert_allclose(true, run.position, atol=1e-6)
-    position[0, 3:] = np.nan  # a rollout that blew up is written as such
-    (whole,) = group.select(0).all_particles(position)
-    assert np.isfinite(whole[:3]).all() and np.isnan(whole[3:]).all()
-
-
 def test_thinned_blade_keeps_its_lowest_particles_and_comes_back_whole(tmp_path):
     folder = synthetic.write_dataset(tmp_path, rigid_counts=(4, 6))
     metadata = dataset.read_metadata(folder)
@@ -106,27 +79,7 @@ def test_thinned_blade_keeps_its_lowest_particles_and_comes_back_whole(tmp_path)
     assert np.isclose(moved, 0).sum() == moved[:, :4].size  # the other four rigid particles
 
 
-@pytest.mark.parametrize('stride', [3, 4])
-def test_thinning_that_moves_the_axle_is_refused(tmp_path, stride):
-    with pytest.raises(ValueError, match='train record 0: rigid_stride keeps [23] of 8 .* needs'):
-        models.make(tmp_path, **RING | {'overrides': {'rigid_stride': stride}})
-
-
-def test_neighbours_of_a_thinned_body_skip_what_is_left_out():
-    ring = [(i, (i + d) % 8) for i in range(8) for d in (1, 7)]
-    two_rings = ring + [(s + 8, r + 8) for s, r in ring]
-    small = {(i, (i + d) % 4) for i in range(4) for d in (1, 3)}
-    expected = small | {(s + 4, r + 4) for s, r in small}
-    kept = np.arange(16)[::2]
-    assert set(connectivity_utils.contracted_edges(two_rings, 16, kept)) == expected
-    assert connectivity_utils.contracted_edges([(1, 0)], 2, [0, 1]) == ((1, 0),)
-    with pytest.raises(ValueError, match='particle 15, the body has 8'):
-        connectivity_utils.contracted_edges(two_rings, 8, kept)
-
-
-@pytest.mark.parametrize(
-    'fields', [{'modes': -1}, {'rigid_stride': 0}, {'preset': 'full_space', 'modes': 2}]
-)
+@pytest.mark.parametrize('fields', [{'modes': -1}, {'preset': 'full_space', 'modes': 2}])
 def test_impossible_choices_are_refused(fields):
-    with pytest.raises(ValueError, match='modes|rigid_stride'):
+    with pytest.raises(ValueError, match='modes'):
         presets.make_config(**{'preset': 'pcg'} | fields)

@@ -8,7 +8,6 @@ import pytest
 from learning_to_simulate import normalization, presets
 from learning_to_simulate.subspace import noise_utils, trainer
 from learning_to_simulate.subspace.trainer import Trainer
-from pca_tools import dataset
 from tests.learning_to_simulate import models, synthetic
 
 
@@ -68,23 +67,6 @@ def test_statistics_survive_json_and_know_their_shapes(tmp_path):
             normalization.Statistics.from_json(values | {name: wrong}).check(scene)
 
 
-@pytest.mark.parametrize('preset', ['pcg', 'pcg_thesis'])
-def test_torque_has_statistics_of_its_own_and_leaves_the_force_alone(tmp_path, preset):
-    """One scale for all axes, that of the loudest; the published family has one of each axis."""
-    wanted = {'predict_torque': True}
-    model, _, _ = models.make(tmp_path / 'a', preset, torque=True, overrides=wanted)
-    without, _, _ = models.make(tmp_path / 'b', preset, torque=True)
-    s, other = model.simulator.statistics, without.simulator.statistics
-    runs = dataset.read_split(str(tmp_path / 'a'), 'train')
-    torque = np.concatenate([run.torque.astype(np.float64) for run in runs])
-    spread = torque.std(axis=0)
-    np.testing.assert_allclose(s.torque_mean, torque.mean(axis=0), rtol=1e-6)
-    expected = spread if preset == 'pcg_thesis' else np.full(3, spread.max())
-    np.testing.assert_allclose(s.torque_std, expected, rtol=1e-6)
-    changed = dataclasses.replace(s, torque_mean=None, torque_std=None)
-    assert changed.to_json() == other.to_json()
-
-
 def test_loss_of_one_step_is_equation_13():
     """Sum over moving nodes of |a - â|² over their number, plus |F - F̂|², mean over graphs."""
     rng = np.random.default_rng(0)
@@ -95,10 +77,10 @@ def test_loss_of_one_step_is_equation_13():
     expected = np.mean([((p - t)[2:] ** 2).sum() / 3 for p, t in zip(predicted, target)]) + np.mean(
         [((p - t) ** 2).sum() for p, t in zip(predicted_force, force)]
     )
-    error, loads = (predicted - target)[:, None], (predicted_force[:, None], force[:, None])
-    values = trainer.training_loss(error, moving, *loads, [1.0])
+    error, forces = (predicted - target)[:, None], (predicted_force[:, None], force[:, None])
+    values = trainer.training_loss(error, moving, *forces, 1.0)
     np.testing.assert_allclose(values['loss'], expected, rtol=1e-5)
-    assert set(trainer.training_loss(error, moving, None, None, [])) == {'loss', 'loss_mse'}
+    assert set(trainer.training_loss(error, moving, None, None, None)) == {'loss', 'loss_mse'}
 
 
 def test_presets_are_the_published_settings():
@@ -123,4 +105,4 @@ def test_force_that_never_changes_divides_by_no_round_off(tmp_path, monkeypatch,
     model, groups, _ = models.make(tmp_path)
     np.testing.assert_array_equal(model.simulator.statistics.force_std, 1.0)
     tensors = Trainer(model, groups)._tensors[0]
-    assert np.isfinite(tensors.load_weights).all() and not tensors.load.numpy().any()
+    assert np.isfinite(tensors.force_weight).all() and not tensors.force.numpy().any()

@@ -140,12 +140,11 @@ def test_bodies_that_move_by_themselves_are_refused_before_any_work(tmp_path, mo
         make(write(str(tmp_path), motions))
 
 
-def test_what_knows_one_body_says_so(made, data):
+def test_what_knows_one_body_says_so(made):
     model, _ = made
     s = model.simulator
     for message, call in (
         ('the C form knows one', lambda: model_data.values(model, 7)),
-        ('predict_torque knows one', lambda: make(data, predict_torque=True)),
         ('7 nodes, not 6', lambda: Layout(model.layout(7), 6, s.scene, s.statistics, s.config)),
     ):
         with pytest.raises(ValueError, match=message):

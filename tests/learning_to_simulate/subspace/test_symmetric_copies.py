@@ -8,7 +8,6 @@ from learning_to_simulate.subspace import symmetric_copies
 from pca_tools.subspace import Subspace
 
 # A bed of 30 x 6 x 10 particles, 2 cm apart.
-LEVER = np.array([0.1, -0.2, 0.3])
 AXES = [0.02 * np.arange(n) for n in (30, 6, 10)]
 POINTS = np.stack(np.meshgrid(*AXES, indexing='ij'), axis=-1).reshape(-1, 3)
 
@@ -60,7 +59,7 @@ def _group(space, x, seed):
     scores = space.encode(space.initial) + 0.01 * rng.normal(size=(len(x), 7, 2, 3))
     force = rng.normal(size=(len(x), 7, 3))
     return RunGroup(2, np.zeros(4, int), np.concatenate([body, scores], axis=2), force, None,
-                    np.arange(len(x)), torque=np.cross(LEVER, force))  # fmt: skip
+                    np.arange(len(x)))  # fmt: skip
 
 
 def test_copies_follow_the_runs_stay_in_their_range_and_mirror_loads():
@@ -82,7 +81,6 @@ def test_copies_follow_the_runs_stay_in_their_range_and_mirror_loads():
         mirrored = body[0, 0, 2] > body[0, 1, 2]
         sign = np.array([1, 1, -1 if mirrored else 1])
         np.testing.assert_allclose(force, group.force[0] * sign)
-        np.testing.assert_allclose(more.torque[copy], np.cross(sign * LEVER, force), atol=1e-12)
         # The scores are the shift of the run's own, counted from the resting bed.
         shift = symmetric_copies.shift_of(space, 0, 2, distance, mirrored)
         rest = space.encode(space.initial)

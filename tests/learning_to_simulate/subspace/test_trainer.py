@@ -2,8 +2,7 @@
 
 The comparison was tried against mistakes that a training survives without a word, and finds each:
 no noise of the positions; the base of an order-2 target without its noise; noise on the given body;
-gradients stopped between frames; equal weights of the forces, or those of the torque; no torque in
-the loss; no clipping; no averaging.
+gradients stopped between frames; equal weights of the forces; no clipping; no averaging.
 """
 
 import numpy as np
@@ -26,15 +25,12 @@ CASES = {
     'single step, second order': {'num_steps': 5} | SECOND_ORDER,
     'unrolled': {'num_steps': 3},
     'unrolled, second order': {'num_steps': 3} | SECOND_ORDER,
-    'single step, torque': {'num_steps': 5, 'predict_torque': True},
-    'unrolled, torque': {'num_steps': 3, 'predict_torque': True},
 }
 
 
 def make(folder, overrides):
     """A small model whose weights no zero hides a mistake in, and its runs."""
-    torque = 'predict_torque' in overrides
-    model, groups, _ = models.make(folder, overrides=SMALL | overrides, n_run=3, torque=torque)
+    model, groups, _ = models.make(folder, overrides=SMALL | overrides, n_run=3)
     rng = np.random.default_rng(1)
     for variable in model.simulator.trainable_variables:
         variable.assign(variable + rng.normal(0, 0.2, variable.shape))

@@ -76,7 +76,7 @@ def test_exports_refuse_a_path_by_name(driven):
 
 def test_a_body_whose_height_is_predicted_has_no_path_inputs(tmp_path):
     with pytest.raises(ValueError, match='whole motion is given'):
-        models.make(tmp_path, motion='driven', overrides={'path_inputs': True})
+        models.make(tmp_path, motion='driven', preset='mlp_driven')
 
 
 def test_training_resumes_and_rolls_out(tmp_path):
@@ -106,11 +106,8 @@ def test_training_resumes_and_rolls_out(tmp_path):
 @pytest.mark.parametrize(
     ('preset', 'fields', 'words'),
     [
-        ('pcg', {'mode_order': 0, 'rate_scaled': False}, 'need path_inputs'),
-        ('mlp', {'state_inputs': False}, 'need path_inputs'),
-        ('pcg', {'path_inputs': True, 'state_inputs': False}, 'only the MLP'),
-        ('pcg', {'path_inputs': True, 'style': 'published'}, 'needs the style ours'),
-        ('mlp', {'surface_height': 0.3}, 'surface_height'),
+        ('pcg', {'mode_order': 0, 'rate_scaled': False}, 'only an MLP of the style ours'),
+        ('mlp_driven', {'style': 'published'}, 'only an MLP of the style ours'),
         ('pcg', {'model': 'lstm'}, "unknown model 'lstm'; there are gns, mlp"),
         ('pcg', {'model': 'mlp'}, "adjacency is 'algorithm2' with model 'mlp'"),
         ('pcg', {'adjacency': 'none'}, "adjacency is 'none' with model 'gns'"),

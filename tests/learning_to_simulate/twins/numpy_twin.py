@@ -135,7 +135,7 @@ class Twin:
         return found * self.rate(coming) + np.where(order == 2, velocity[:, -1], 0.0)
 
     def step(self, history, next_body, context):
-        """The next positions [V, 3] and the force, and the torque behind it where it is predicted.
+        """The next positions [V, 3] and the force.
 
         Args:
           history: [H, V, 3] absolute positions.
@@ -153,10 +153,8 @@ class Twin:
             moves[:n] = shape + moves[:n, up].mean() * np.eye(3)[up]
         elif self.known:
             moves[:n] = next_body - position[:n]
-        mean, std = s.force_mean, s.force_std
-        if self.config.predict_torque:
-            mean, std = np.append(mean, s.torque_mean), np.append(std, s.torque_std)
-        return position + moves, (load[0] * std + mean) * self._share(position, next_body)
+        force = load[0] * s.force_std + s.force_mean
+        return position + moves, force * self._share(position, next_body)
 
     def _share(self, now, body):
         """What a body at [R, 3] may show of its force, with the modes of now."""

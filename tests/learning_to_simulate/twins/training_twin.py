@@ -23,10 +23,6 @@ class TrainingTwin(Twin):
         self.group = group
         self._named = self.weights
         self.flat = np.concatenate([v.ravel() for v in self.weights.values()])
-        # Force, and torque: recorded [S, T, 3], mean and spread.
-        self.loads = [(group.force, self.s.force_mean, self.s.force_std)]
-        if self.config.predict_torque:
-            self.loads.append((group.torque, self.s.torque_mean, self.s.torque_std))
 
     def at(self, flat, loss, step):
         """A loss of a step with other weights, all in one array."""
@@ -37,7 +33,7 @@ class TrainingTwin(Twin):
         return loss(step)
 
     def windows(self, step, length, size):
-        """Positions [B, H + length, V, 3] and normalised loads [B, H + length, 3 or 6] of a step's
+        """Positions [B, H + length, V, 3] and normalised forces [B, H + length, 3] of a step's
         windows, and each one's run."""
         runs, frames = self.group.position.shape[:2]
         starts = frames - (H + length) + 1
@@ -46,8 +42,8 @@ class TrainingTwin(Twin):
         run, start = np.divmod(pick.numpy(), starts)
         index = start[:, None] + np.arange(H + length)
         position = self.group.position[run[:, None], index]
-        loads = [(load[run[:, None], index] - mean) / std for load, mean, std in self.loads]
-        return position, np.concatenate(loads, axis=-1), run
+        force = self.group.force[run[:, None], index]
+        return position, (force - self.s.force_mean) / self.s.force_std, run
 
     def noise(self, step, size):
         """Noise of the velocities [B, H - 1, V, 3]: a random walk over the frames whose last value
@@ -65,18 +61,16 @@ class TrainingTwin(Twin):
         return walk
 
     def _loss(self, motion, load_errors, run):
-        """Total of errors of the modes [B, f, r, 3] and of the loads' axes [B, f, 3 or 6], both
+        """Total of errors of the modes [B, f, r, 3] and of the force's axes [B, f, 3], both
         squared, over f frames."""
-        weights = []
-        for load, _, std in self.loads:
-            size = np.sqrt((load**2).sum(-1).mean(1))
-            size = np.maximum(size, 0.02 * size.max())[run]
-            weights += [(std[0] / size) ** 2] * 3
+        size = np.sqrt((self.group.force**2).sum(-1).mean(1))
+        size = np.maximum(size, 0.02 * size.max())[run]
+        weight = (self.s.force_std[0] / size) ** 2
         quiet = self.s.velocity_std[1:] / self.s.velocity_std[1:].max()
         # A weighted mean over the modes' components, times D; the error of frame f is the sum of f
         # steps' errors.
         of_frame = (motion * quiet).sum((2, 3)) / quiet.mean(axis=1).sum()
-        of_load = (load_errors * np.stack(weights, axis=-1)[:, None]).sum(-1)
+        of_load = load_errors.sum(-1) * weight[:, None]
         return (of_frame / np.arange(1, motion.shape[1] + 1)).mean() + of_load.mean()
 
     def single_loss(self, step):

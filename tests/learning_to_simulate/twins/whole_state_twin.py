@@ -22,7 +22,7 @@ class WholeStateTwin(Twin):
         n_body = {'prescribed': 0, 'driven': 1}.get(str(self.scene.rigid_motion), n)
         body = {0: np.zeros((n, 3)), 1: np.tile(rows[:1], (n, 1))}.get(n_body, rows[:n_body])
         first = n_body + self.r
-        n_load = s.force_mean.size // 3 + self.config.predict_torque  # force of each body, torque
+        n_load = s.force_mean.size // 3  # force of each body
         target = np.concatenate([body, rows[n_body:first]])
         return target[None], rows[first : first + n_load].reshape(1, -1)
 

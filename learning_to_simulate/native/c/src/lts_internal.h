@@ -43,7 +43,6 @@ struct lts_instance {
   float rate;
   float *edges;    /* [E][latent, or twice: first layer, latent] */
   float *weight;   /* [E] share of a message in what its receiver takes */
-  float *gate;     /* [V] whether a node has edges in this frame */
   float *columns;  /* [V][columns] */
   float *received; /* [V][latent + 2, padded] */
   float *feature;  /* [V][features] or [inputs] */

@@ -64,9 +64,8 @@ struct lts_model {
   int32_t has_force, is_graph;
   int32_t position_inputs, knows_next, rate_scaled, correction; /* correction: keep a predicted body rigid */
   int32_t velocity_inputs, mode_order, rigid_order, has_log_context;
-  int32_t has_height, has_surface; /* has_surface: points above it have no edges */
-  int32_t n_place, way_axis;       /* n_place 0: the force is shown wherever the body is */
-  double dt, surface, body_speed, rate_floor, height_std, height_velocity_std;
+  int32_t has_height, n_place, way_axis; /* n_place 0: the force is shown wherever the body is */
+  double dt, body_speed, rate_floor, height_std, height_velocity_std;
   /* Statistics of nodes, [V][3]. */
   const double *origin;
   const double *position_std, *velocity_mean, *velocity_std, *acceleration_mean, *acceleration_std;

@@ -49,25 +49,14 @@ int lts_column_stride(const lts_model *m) {
   return stride;
 }
 
-/* Share of each message: a mean over the edges that are there, or their sum. */
+/* Share of each message: a mean over the edges of its receiver, or their sum. */
 static void weigh_edges(lts_instance *soil) {
   const lts_model *m = soil->model;
-  const int n_node = lts_n_node(m), up = m->up_axis;
   float *degree = soil->received; /* free until messages are received */
-  for (int i = 0; i < n_node; ++i) {
-    float offset[3];
-    lts_node_offset(soil, i, offset);
-    const float height = offset[up] + (float)m->origin[3 * i + up];
-    soil->gate[i] = !m->has_surface || i >= m->n_rigid || height <= (float)m->surface;
-    degree[i] = 0.0f;
-  }
+  for (int i = 0; i < lts_n_node(m); ++i) degree[i] = 0.0f;
+  for (int e = 0; e < m->n_edge; ++e) degree[m->receivers[e]] += 1.0f;
   for (int e = 0; e < m->n_edge; ++e) {
-    soil->weight[e] = soil->gate[m->senders[e]] * soil->gate[m->receivers[e]];
-    degree[m->receivers[e]] += soil->weight[e];
-  }
-  for (int e = 0; m->mean_aggregation && e < m->n_edge; ++e) {
-    const float n = degree[m->receivers[e]];
-    if (n > 1.0f) soil->weight[e] /= n;
+    soil->weight[e] = m->mean_aggregation ? 1.0f / degree[m->receivers[e]] : 1.0f;
   }
 }
 

@@ -56,7 +56,6 @@ size_t lts_lay_out(const lts_model *m, char *base, lts_instance *soil) {
   at += lts_aligned((count) * sizeof(float), LTS_ALIGNMENT);
   TAKE(edges, (size_t)m->n_edge * (m->n_step > 1 ? 2 : 1) * latent)
   TAKE(weight, (size_t)m->n_edge)
-  TAKE(gate, n_node)
   TAKE(columns, n_node * (size_t)lts_column_stride(m))
   TAKE(received, m->is_graph ? n_node * (latent + LTS_PANEL) : 0)
   TAKE(feature, n_feature)
