@@ -193,10 +193,9 @@ class TrainedModel:
           FileNotFoundError, ValueError: as `starts`; a model on particles.
           native.library.NoCompiler: of 'c', where there is no C compiler.
         """
-        from learning_to_simulate.live.stepper import Stepper
         from learning_to_simulate.native import engines
 
-        return Stepper(engines.of(self.model, *self._from_rest(), engine), outside)  # type: ignore[call-arg]
+        return engines.stepper(self.model, *self._from_rest(), engine, outside=outside)
 
     def rollout(self, path, velocity=None, case: int | None = None, context=None):
         """Rolls out a whole path, several one after the other, or a recorded run.

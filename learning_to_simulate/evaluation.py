@@ -41,11 +41,10 @@ class Evaluator:
     Args:
       model: the model.
       metadata: of the dataset; its projection errors are used where it states them.
-      rigid_correction: whether predicted bodies are kept rigid.
     """
 
-    def __init__(self, model: Model, metadata: dict, rigid_correction: bool = True):
-        self._model, self._metadata, self._correct = model, metadata, rigid_correction
+    def __init__(self, model: Model, metadata: dict):
+        self._model, self._metadata = model, metadata
         self._functions = {}
 
     def roll_out(self, group):
@@ -53,7 +52,7 @@ class Evaluator:
         key = group.position.shape, group.context_changes
         if key not in self._functions:
             layout = self._model.layout(group.n_rigid)
-            self._functions[key] = RolloutFunction(self._model.simulator, layout, self._correct)
+            self._functions[key] = RolloutFunction(self._model.simulator, layout)
         return roll_out(self._functions[key], group)
 
     def run(self, groups, split: str, progress=iter):

@@ -35,7 +35,6 @@ def define_flags() -> None:
         'output_path', None, 'Folder (page: file) to write; absent or empty.', required=True
     )
     flags.DEFINE_enum('format', 'savedmodel', [*FORMATS, 'page'], 'What to write.')
-    flags.DEFINE_integer('n_rigid', None, 'Rigid nodes of the graph; default: the largest.', 0)
     flags.DEFINE_integer('n_tools', None, 'Tools on the terrain of a soil field as an FMU.', 1)
 
 
@@ -50,9 +49,8 @@ def run(values) -> None:
         raise ValueError(f'--data_path is missing: --format={values.format} is compared on it')
     command.import_tensorflow()
     description = export(
-        values.model_path, values.data_path, values.output_path, values.format, values.n_rigid,
-        values.n_tools,
-    )  # fmt: skip
+        values.model_path, values.data_path, values.output_path, values.format, values.n_tools
+    )
     print(summary(description, values.output_path))
 
 

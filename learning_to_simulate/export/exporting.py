@@ -30,7 +30,6 @@ def export(
     data_path: str,
     output_path: str,
     kind: str,
-    n_rigid: int | None = None,
     n_tools: int | None = None,
 ) -> dict:
     """Writes an exported model, compares it with its source and describes it.
@@ -40,8 +39,6 @@ def export(
       data_path: its dataset; gives a run to compare on.
       output_path: folder to write; must be absent or empty.
       kind: one of `FORMATS`.
-      n_rigid: R of the exported graph, for data with bodies of several sizes; None for the largest,
-        in C for that of the first start.
       n_tools: of a soil field as an FMU, how many tools work on its terrain; None for one.
 
     Returns:
@@ -55,7 +52,7 @@ def export(
     """
     if os.path.exists(output_path) and (not os.path.isdir(output_path) or os.listdir(output_path)):
         raise ValueError(f'{output_path}: is there and not empty; nothing was written')
-    exported = _exported(model_path, data_path, kind, n_rigid, n_tools)
+    exported = _exported(model_path, data_path, kind, n_tools)
 
     from learning_to_simulate import checkpoints
 
@@ -77,13 +74,13 @@ def export(
     return description
 
 
-def _exported(model_path, data_path, kind, n_rigid, n_tools):
+def _exported(model_path, data_path, kind, n_tools):
     """What is exported, for a format."""
     from learning_to_simulate import registry
 
     if registry.of_folder(model_path).on_terrain:
-        if kind not in native.FORMATS or n_rigid is not None:
-            raise ValueError(f'{model_path}: a soil field has --format=c and fmu, without n_rigid')
+        if kind not in native.FORMATS:
+            raise ValueError(f'{model_path}: a soil field has --format=c and fmu')
         if n_tools is not None and kind != 'fmu':
             raise ValueError(f'n_tools is {n_tools}: in C each tool has an instance of its own')
         from learning_to_simulate.native.exporting import CSoilField
@@ -94,10 +91,10 @@ def _exported(model_path, data_path, kind, n_rigid, n_tools):
     if kind in native.FORMATS:
         from learning_to_simulate.native.exporting import CModel
 
-        return CModel(model_path, data_path, n_rigid)
+        return CModel(model_path, data_path)
     from learning_to_simulate.export.step_functions import StepFunctions
 
-    return StepFunctions.of_dataset(model_path, data_path, n_rigid)
+    return StepFunctions.of_dataset(model_path, data_path)
 
 
 def _write_functions(exported, kind, folder):

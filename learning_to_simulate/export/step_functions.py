@@ -62,27 +62,15 @@ class StepFunctions:
         self.variables = simulator.trainable_variables
 
     @classmethod
-    def of_dataset(cls, model_path: str, data_path: str, n_rigid: int | None = None):
-        """Of a model folder, compared on the first test run of its dataset.
-
-        Args:
-          model_path, data_path: where they are; the dataset also gives the subspace.
-          n_rigid: R; None for the largest of the test runs.
-
-        Raises:
-          FileNotFoundError, ValueError: as `registry.open_model`; no test run has such a body.
-        """
+    def of_dataset(cls, model_path: str, data_path: str):
+        """Of a model folder and its dataset, which gives the subspace and a test run to compare
+        on, of the largest body; raises as `registry.open_model`."""
         opened = registry.open_model(model_path, data_path, 'test')
-        model, by_size = opened.model, {group.n_rigid: group for group in opened.groups}
-        n_rigid = max(by_size) if n_rigid is None else n_rigid
-        if n_rigid not in by_size:
-            raise ValueError(
-                f'{data_path}: no test run has {n_rigid} rigid nodes, there are {sorted(by_size)}'
-            )
+        model, group = opened.model, max(opened.groups, key=lambda group: group.n_rigid)
         path, space = os.path.join(data_path, 'subspace.npz'), None
         if os.path.exists(path):
             space = model.fitting_subspace(subspace.Subspace.load(path))
-        return cls(model.simulator, model.layout(n_rigid), space, by_size[n_rigid].select(0))
+        return cls(model.simulator, model.layout(group.n_rigid), space, group.select(0))
 
     def step(self, offset, velocity, rigid_offset=None, rigid_velocity=None, context=None):
         """The coming frame, a predicted body kept rigid; arguments and results as of `MEANING`."""

@@ -51,6 +51,8 @@ class SoilRollout:
     soil_truth: SoilTruth | None = None
     sampled: np.ndarray | None = None
 
+    torque = None  # none of these models predicts one
+
     def __repr__(self) -> str:
         reason = f' ({self.reason})' if self.reason else ''
         return f'<rollout {self.name!r}: {len(self)} frames, {self.status}{reason}>'
@@ -173,8 +175,7 @@ def roll_out(stepper, path, velocity=None, case=None, context=None) -> SoilRollo
     Raises:
       ValueError: not such a path; as `Stepper.step`.
     """
-    engine = stepper.computing
-    scene, names = engine.scene, engine.scene.context_names
+    scene, names = stepper.scene, stepper.scene.context_names
     values = poses.numbers('path', path, (None, 7), (None, 3))
     if len(values) < 2:
         raise ValueError(f'a path of {len(values)} poses has no step, at least two are needed')
@@ -182,7 +183,7 @@ def roll_out(stepper, path, velocity=None, case=None, context=None) -> SoilRollo
     if np.ndim(context) == 2 and names:
         contexts = poses.numbers('context', context, (len(values), len(names)))
         context = contexts[0]
-    start = Start(scene, engine.starts, case=case, context=context)
+    start = Start(scene, stepper.starts, case=case, context=context)
     values = np.stack([start.read(pose) for pose in values])
     if velocity is None:
         velocity = velocity_between(values[0], values[1], scene.dt)

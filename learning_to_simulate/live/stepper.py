@@ -5,9 +5,9 @@
     frame = stepper.step(next_pose)
     points = frame.particles()        # only where they are asked for
 
-An engine (`engine`, `native.engines`) computes the frames. Input that cannot be used is refused
-before anything changes; input unlike the training runs is used and flagged, in that frame and in
-all that follow. After the first call nothing is compiled any more.
+A step computes the frames: `tf_step.TfStep`, or by C (`native.engines`). Input that cannot be used
+is refused before anything changes; input unlike the training runs is used and flagged, in that
+frame and in all that follow. After the first call nothing is compiled any more.
 """
 
 import threading
@@ -17,11 +17,66 @@ import numpy as np
 
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.live import poses
-from learning_to_simulate.live.engine import Frame
+from learning_to_simulate.live.soil import Decoder, Soil
 from learning_to_simulate.live.starts import RecordedStart, Start
-from learning_to_simulate.rollout_status import Judgement, RolloutStatus, worse
+from learning_to_simulate.live.tf_step import TfStep
+from learning_to_simulate.rollout_status import OK, Judgement, NodeRanges, RolloutStatus, worse
+from learning_to_simulate.scene import RigidMotion
+from pca_tools import rigid_fit
 
 FLAG, HOLD, RAISE = 'flag', 'hold', 'raise'
+
+
+class Frame(NamedTuple):
+    """One frame; its arrays cannot be written to.
+
+    Attributes:
+      judgement: how far it can be trusted: the worst since the start, with the frame in which that
+        began and the reason.
+      soil: its modes, and particles where they are asked for.
+      rigid_pose: float64 [R, D] particles of the body that are nodes, m.
+      pose: float64 [7], position (m) and quaternion (w, x, y, z) of the body; None where the body
+        is given by its particles, or they do not fix one.
+      force: [D] on the body, N, or [B, D] on several; None where the scene has no force.
+      now: the status of this frame alone.
+    """
+
+    judgement: Judgement
+    soil: Soil
+    rigid_pose: np.ndarray
+    pose: np.ndarray | None
+    force: np.ndarray | None
+    now: RolloutStatus = RolloutStatus.OK
+
+    torque = None  # none of these models predicts one
+
+    def __repr__(self) -> str:
+        values = [] if self.force is None else [f'{value:.4g}' for value in np.ravel(self.force)]
+        force = f'force {", ".join(values)} N, ' if values else ''
+        return f'<frame: {force}{self.status}{f" ({self.reason})" if self.reason else ""}>'
+
+    @property
+    def status(self) -> RolloutStatus:
+        """The worst status since the start, as a rollout file would have it."""
+        return self.judgement.status
+
+    @property
+    def reason(self) -> str:
+        """Value and limits behind the status, in words; '' where it is OK."""
+        return self.judgement.reason
+
+    @property
+    def modes(self) -> np.ndarray:
+        """float64 [r, D] scores, m."""
+        return self.soil.modes
+
+    def particles(self) -> np.ndarray:
+        """float32 [N, D] positions of the soil, m; ValueError without a subspace."""
+        return self.soil.particles()
+
+    def height_map(self, nx: int, nz: int) -> np.ndarray:
+        """float32 [nx, nz] heights of the surface, m; see `soil.surface`."""
+        return self.soil.height_map(nx, nz)
 
 
 class StepperState(NamedTuple):
@@ -31,55 +86,87 @@ class StepperState(NamedTuple):
       start: what the run began from.
       frame: the newest.
       count: frames since the start.
-      of_engine: what its engine knows.
+      body: [R, D] of the newest frame, where it is given.
+      of_step: what its step knows.
     """
 
     start: Any
     frame: Frame
     count: int
-    of_engine: Any
+    body: Any
+    of_step: Any
 
 
 class Stepper:
     """Steps a model frame by frame.
 
     Args:
-      engine: computes the frames; see `engine` and `native.engines`.
+      model: `subspace_model.Model`.
+      starts: `starts.Starts` of the model folder; None where only recorded frames are begun from.
+      subspace: turns modes into particles; None if particles are never asked for.
+      n_rigid: R of the first run; None for that of the first start.
       outside: what is done with a frame that is not `ok`: 'flag' goes on and says so; 'hold' stays
         in the frame before; 'raise' refuses it. A frame that is not finite never becomes the state.
+      make_step: makes the step of (model, R): `TfStep`, or `native.engines.CStep`.
 
     Raises:
-      ValueError: an unknown `outside`.
+      ValueError: an unknown `outside`, a subspace of another number of modes or particles than the
+        model's, or a body that the model cannot take.
+
+    Attributes:
+      scene, starts: of the model.
+      engine: what computes the frames: C with its instructions, or TensorFlow and why not C.
     """
 
-    def __init__(self, engine, outside: str = FLAG):
+    def __init__(
+        self, model, starts=None, subspace=None, n_rigid=None, outside=FLAG, make_step=TfStep
+    ):
         if outside not in (FLAG, HOLD, RAISE):
             raise ValueError(f'outside is {outside!r}, must be one of {(FLAG, HOLD, RAISE)}')
-        self._engine, self._outside = engine, outside
+        self._model, self._make, self._outside = model, make_step, outside
+        self.scene, self.starts, self.engine = model.simulator.scene, starts, 'TensorFlow'
+        self._decoder = None
+        if subspace is not None:
+            self._decoder = Decoder(model.fitting_subspace(subspace), self.scene.up_axis)
         self._lock = threading.Lock()
+        self._sizes: dict[int, tuple] = {}  # R -> step and ranges
         self._start: Any = None
         self._last: Any = None
+        self._body: Any = None
         self._count = 0
-
-    @property
-    def engine(self) -> str:
-        """What computes the frames: C with its instructions, or TensorFlow and why not C."""
-        return self._engine.name
+        self._allowed = {n_rigid} if starts is None else {len(kept) for kept in starts.kept}
+        # Compiles now and not in the first frame.
+        self._now, self._ranges = self._of_size(len(starts.kept[0]) if n_rigid is None else n_rigid)
 
     @property
     def computing(self):
-        """The engine itself; for whole paths and for comparisons."""
-        return self._engine
+        """The step of the run, or before the start of the first size; for comparisons."""
+        return self._now
 
     @property
     def dt(self) -> float:
         """Seconds of a frame."""
-        return self._engine.scene.dt
+        return self.scene.dt
 
     @property
     def cases(self) -> list:
         """Numbers or names of the recorded starts' cases."""
-        return [values.get('case') for values in self._engine.starts.cases]
+        return [values.get('case') for values in self.starts.cases]
+
+    def _of_size(self, n_rigid):
+        """The step and the ranges for bodies of R nodes, made once."""
+        if n_rigid not in self._sizes:
+            model, scene = self._model, self.scene
+            step = self._make(model, n_rigid)
+            origin = model.layout(n_rigid).origin
+            n = len(scene.context_names)
+            step.reset(np.tile(origin, (H, 1, 1)), np.ones(n) if n else None)
+            known = origin[:n_rigid], np.zeros((n_rigid, origin.shape[1]))
+            step.propose(*known if scene.rigid_motion.is_known else (None, None))
+            limit = None if self.starts is None else self.starts.force_limit
+            ranges = NodeRanges(n_rigid, model.simulator.statistics, scene, limit)
+            self._sizes[n_rigid] = step, ranges
+        return self._sizes[n_rigid]
 
     def start(self, pose=None, velocity=None, case=None, context=None) -> Judgement:
         """Begins where the body is; returns how the start is to be judged.
@@ -97,8 +184,7 @@ class Stepper:
           RuntimeError: another thread is at work here.
         """
         with _Held(self._lock):
-            engine = self._engine
-            start = Start(engine.scene, engine.starts, pose, velocity, case, context)
+            start = Start(self.scene, self.starts, pose, velocity, case, context)
             start.pose.setflags(write=False)
             return self._begin(start)
 
@@ -115,16 +201,35 @@ class Stepper:
           RuntimeError: another thread uses the stepper.
         """
         with _Held(self._lock):
-            scene = self._engine.scene
             shape = np.shape(history)
-            n_rigid = shape[1] - scene.n_modes if len(shape) == 3 else 0
-            return self._begin(RecordedStart(scene, max(n_rigid, 0), history, context))
+            n_rigid = max(shape[1] - self.scene.n_modes if len(shape) == 3 else 0, 0)
+            start = RecordedStart(self.scene, n_rigid, history, context)
+            if n_rigid not in self._allowed:
+                raise ValueError(
+                    f'history has {n_rigid} rigid nodes, the bodies of the model '
+                    f'{sorted(self._allowed)}'
+                )
+            return self._begin(start)
 
     def _begin(self, start):
-        first = self._engine.begin(start)
-        self._start, self._count = start, 0
-        self._last = first._replace(now=first.status)
-        return first.judgement
+        history, n = start.history(), len(start.kept)
+        step, ranges = self._of_size(n)
+        step.reset(history, start.context)
+        if start.velocity is None:  # recorded frames: all of them are judged
+            judgement = OK
+            for k, frame in enumerate(history):
+                before = history[k - 1, :n] if k else None
+                now = ranges.start(frame, None if k else start.context, before, k)
+                judgement = worse(judgement, now)
+        else:  # the frames before the newest one are made up
+            before = history[-2, :n] if start.velocity.any() else None
+            judgement = ranges.start(history[-1], start.context, before)
+        self._now, self._ranges, self._start, self._count = step, ranges, start, 0
+        self._body = history[-1, :n]
+        force = self._by_body(np.zeros(self._model.simulator.force_size, np.float32))
+        soil = Soil(history[-1, n:], self._decoder)
+        self._last = Frame(judgement, soil, self._body, start.pose, force, judgement.status)
+        return judgement
 
     def step(self, pose=None, context=None, dt: float | None = None) -> Frame:
         """Predicts the frame in which the body reaches a pose.
@@ -144,28 +249,65 @@ class Stepper:
           RuntimeError: another thread is at work here.
         """
         with _Held(self._lock):
-            last = self._last
-            if last is None:
-                raise ValueError('call start() before step()')
+            last, start, scene = self._newest(), self._start, self.scene
             if context is not None:
-                context = self._start.read_context(context)
+                context = start.read_context(context)
             if pose is not None:
-                pose = self._start.read(pose)
-            frame = self._engine.propose(H + self._count, pose, context, dt)
-            alone = frame.judgement
+                pose = start.read(pose)
+            if scene.rigid_motion.is_known != (pose is not None):
+                takes = 'takes' if pose is None else 'does not take'
+                raise ValueError(f'the body is {scene.rigid_motion}: step() {takes} a pose')
+            if dt is not None and abs(dt - scene.dt) > 1e-6 * scene.dt:
+                raise ValueError(
+                    f'dt is {dt} s: a frame of the model is {scene.dt:.6g} s and cannot be '
+                    f'divided; hold the last frame in between'
+                )
+            body = None if pose is None else start.nodes(pose)
+            moved = None if body is None else body - self._body
+            position, flat = self._now.propose(body, moved, context)
+            number, n = H + self._count, len(start.kept)
+            alone = self._ranges.judge(number, position, flat, body, self._body, context)
             so_far = worse(last.judgement, alone)
             if alone.status != RolloutStatus.OK and self._outside != FLAG:
                 if self._outside == RAISE:
                     raise ValueError(f'{alone.status}: {alone.reason}; the state stays as it was')
                 self._last = last._replace(judgement=so_far)
                 return self._last._replace(now=alone.status)
-            frame = frame._replace(judgement=so_far, now=alone.status)
+            force = self._by_body(flat)
+            for values in (position, force):
+                if values is not None:
+                    values.setflags(write=False)
+            soil, at = Soil(position[n:], self._decoder), self._pose(pose, position[:n])
+            frame = Frame(so_far, soil, position[:n], at, force, alone.status)
             if alone.status == RolloutStatus.NON_FINITE:
                 self._last = last._replace(judgement=so_far)
                 return frame
-            self._engine.accept()
-            self._count, self._last = self._count + 1, frame
+            self._now.accept()
+            self._body, self._count, self._last = body, self._count + 1, frame
             return frame
+
+    def _by_body(self, force):
+        """The force [F] as [D], or on several bodies [B, D]; None where there is none."""
+        simulator = self._model.simulator
+        if not simulator.force_size:
+            return None
+        return force.reshape(-1, simulator.dim) if simulator.force_size > simulator.dim else force
+
+    def _pose(self, coming, nodes):
+        """The pose [7] of the body; None where its particles do not fix one."""
+        start = self._start
+        if start.velocity is None:  # told by its particles
+            return None
+        if coming is None:
+            if len(nodes) < rigid_fit.MIN_POINTS or not np.isfinite(nodes).all():
+                return None
+            motion = rigid_fit.fit_rigid_motion(start.body[start.kept], nodes)
+            return np.concatenate([motion.translation, poses.quaternion_of(motion.rotation)])
+        if self.scene.rigid_motion == RigidMotion.DRIVEN:  # the height is the model's
+            up = self.scene.up_axis
+            coming[up] += (nodes - start.nodes(coming))[:, up].mean()
+        coming.setflags(write=False)
+        return coming
 
     @property
     def state(self) -> StepperState:
@@ -176,13 +318,14 @@ class Stepper:
           RuntimeError: put back while another thread is at work here.
         """
         frame = self._newest()
-        return StepperState(self._start, frame, self._count, self._engine.state)
+        return StepperState(self._start, frame, self._count, self._body, self._now.state)
 
     @state.setter
     def state(self, state: StepperState) -> None:
         with _Held(self._lock):
-            self._start, self._last, self._count, of_engine = state
-            self._engine.state = of_engine
+            self._start, self._last, self._count, self._body, of_step = state
+            self._now, self._ranges = self._of_size(len(self._start.kept))
+            self._now.state = of_step
 
     def particles(self) -> np.ndarray:
         """float32 [N, 3] of the soil in the newest frame, or at the start, m; raises as

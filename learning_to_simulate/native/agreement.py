@@ -3,8 +3,6 @@
 Both are steppers, so that what is compared is what a user gets.
 """
 
-import os
-import tempfile
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,10 +11,9 @@ from learning_to_simulate import registry
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.live import starts as live_starts
 from learning_to_simulate.live.stepper import Stepper
-from learning_to_simulate.native import engines, library, model_data, project
+from learning_to_simulate.native import engines, model_data
 from learning_to_simulate.native.binding import CSubspace
 from learning_to_simulate.rollout_status import RolloutStatus
-from learning_to_simulate.scene import RigidMotion
 
 # Largest difference to TensorFlow as a share of the motion, or of the largest force. Measured 1e-7
 # to 5e-6. Where all of the body's motion is predicted, a rounding of its velocity lasts, and
@@ -43,15 +40,15 @@ class Opened(NamedTuple):
     n_rigid: int
 
     @classmethod
-    def of(cls, model_path: str, n_rigid: int | None = None) -> 'Opened':
-        """Reads a model folder; R is by default that of the first start.
+    def of(cls, model_path: str) -> 'Opened':
+        """Reads a model folder; R is that of the first start.
 
         Raises:
           FileNotFoundError, ValueError: no model there, a damaged one, or one without starts.
         """
         model = registry.of_folder(model_path).load_code().load(model_path)
         starts, subspace = live_starts.read(model_path)
-        return cls(model, starts, subspace, len(starts.kept[0]) if n_rigid is None else n_rigid)
+        return cls(model, starts, subspace, len(starts.kept[0]))
 
     def values(self) -> dict:
         """Of `model_data.values`, whose errors this raises."""
@@ -67,54 +64,22 @@ class Opened(NamedTuple):
                 return CSubspace.open(library_path, symbol)
             return CSubspace.of(model, n, subspace=space)
 
-        by_c = engines.c_subspace_engine(model, starts, space, n, make)
-        return [Stepper(by_c), Stepper(engines.of(model, starts, space, engines.TENSORFLOW, n))]
+        by_c = engines.by_c(model, starts, space, make, n_rigid=n)
+        return [by_c, Stepper(model, starts, space, n)]
 
 
-def of_project(model_path: str, data_path: str, name: str, opened: Opened) -> dict:
-    """Differences of a compiled project to TensorFlow over frames of the first test run.
-
-    Args:
-      model_path, data_path: of the model and its dataset.
-      name: of the model in C.
-      opened: the model.
-
-    Returns:
-      `calls`, `engine`, `relative_difference` by kind, `tolerance` and `particles_difference_m`; or
-      `skipped`: why nothing was compared.
+def checked(difference: dict[str, float], tolerance: float) -> dict[str, float]:
+    """Differences by kind, as shares of the motion or of the largest force.
 
     Raises:
-      ValueError: a difference above the tolerance.
-      library.CompileFailed: the project does not compile.
+      ValueError: one above the tolerance, or that is not finite.
     """
-    with tempfile.TemporaryDirectory() as folder:
-        project.write(folder, name, opened.values())
-        built = os.path.join(folder, 'model.so')
-        try:
-            library.compile_sources(built, *library.parts_of(folder))
-        except library.NoCompiler as error:
-            return {'skipped': str(error)}
-        pair = opened.steppers(built, name)
-    groups = registry.open_model(model_path, data_path, 'test').groups
-    group = next((g for g in groups if g.n_rigid == opened.n_rigid), None)
-    if group is None:
-        return {'skipped': f'no test run has {opened.n_rigid} rigid nodes'}
-    is_free = opened.model.simulator.scene.rigid_motion is RigidMotion.PREDICTED
-    tolerance = TOLERANCE_OF_PREDICTED if is_free else TOLERANCE
-    row = over_frames(*pair, group.select(0), COMPARED_STEPS)  # type: ignore[call-arg]
-    difference = {name: row[name] for name in ('position', 'force')}
     if bad := {k: v for k, v in difference.items() if not v <= tolerance}:
         raise ValueError(
             f'the C code differs from the model by {bad}, more than {tolerance:g} of the motion or '
             f'force; nothing was written'
         )
-    return {
-        'calls': row['frames'],
-        'engine': pair[0].engine,
-        'relative_difference': difference,
-        'tolerance': tolerance,
-        'particles_difference_m': row['particles_m'],
-    }
+    return difference
 
 
 def over_frames(ours: Stepper, theirs: Stepper, group, limit: int | None = None) -> dict:
@@ -134,7 +99,7 @@ def over_frames(ours: Stepper, theirs: Stepper, group, limit: int | None = None)
     truth, n = group.position[0], group.n_rigid
     for stepper in (ours, theirs):
         stepper.reset(truth[:H], group.context_at(H, 0))
-    known, first = theirs.computing.scene.rigid_motion.is_known, theirs.state.frame
+    known, first = theirs.scene.rigid_motion.is_known, theirs.state.frame
     frames = range(H, len(truth))[:limit]
     every = max(1, len(frames) // PARTICLE_FRAMES)
     apart = dict.fromkeys(('position', 'force', 'particles'), 0.0)
@@ -157,7 +122,7 @@ def over_frames(ours: Stepper, theirs: Stepper, group, limit: int | None = None)
             note('force', mine.force, frame.force, frame.force)
         if first.soil.has_particles and count % every == 0:
             # Steppers decode particles themselves: here those of the library count.
-            points, drawn = frame.particles(), ours.computing.step.particles()
+            points, drawn = frame.particles(), ours.computing.particles()
             note('particles', drawn, points, points - first.particles())
         count += 1
     shares = {k: apart[k] / sizes[k] if sizes[k] > 0 else apart[k] for k in apart}

@@ -12,7 +12,6 @@ import numpy as np
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.live.poses import numbers
 from learning_to_simulate.native import c_values, library, model_data
-from learning_to_simulate.rollout_status import OK, Judgement, RolloutStatus
 
 KERNELS = ('scalar', 'vector4', 'avx2', 'avx512')
 
@@ -140,33 +139,12 @@ class CSubspace:
             raise ValueError(f'the scene takes context {self._names}, got {context}')
         return _given('context', context, (len(self._names),))
 
-    def start(self, start: int = 0, pose=None, twist=None, context=None) -> None:
-        """Starts from soil at rest.
-
-        Args:
-          start: index of one of the starts; -1 takes the one whose context is nearest.
-          pose: of the body, [7]: reference point, m, and rotation w, x, y, z from its attitude in
-            the training run; None: where it was there.
-          twist: [6], its motion so far: linear, m/s, and angular velocity, rad/s; None: at rest.
-          context: [C]; None: that of the start.
-
-        Raises:
-          ValueError: no such start, wrong shape, values that are not finite, no rotation.
-        """
-        pose, twist = _given('pose', pose, (7,)), _given('twist', twist, (6,))
-        self.call('start', start, pose, twist, _given('context', context, (len(self._names),)))
-
     def step(self, rigid_pose=None, context=None) -> SubspaceResult:
         """The next frame, with the body at particles [R, 3], m, where its motion is given."""
         if context is not None:
             self.call('set_context', self._context(context))
         points = _given('rigid_pose', rigid_pose, (self._n, 3))
         return self._newest(self.call('frame', points, ctypes.byref(self._result)))
-
-    def step_at(self, pose) -> SubspaceResult:
-        """The next frame of a body that was started by `start`, at a pose [7] as there."""
-        pose = numbers('pose', pose, (7,))
-        return self._newest(self.call('frame_at', pose, ctypes.byref(self._result)))
 
     def _newest(self, status):
         modes, points = np.empty((self._n_modes, 3)), np.empty((self._n, 3))
@@ -175,22 +153,6 @@ class CSubspace:
         has_force = self.description.has_force
         force = np.array(self._result.force, np.float32) if has_force else None
         return SubspaceResult(modes, force, points, status)
-
-    @property
-    def judgement(self) -> Judgement:
-        """As lts_judge: the worst since the start."""
-        found, c = library.structures()['lts_judgement'](), library.constants()
-        self.call('judge', ctypes.byref(found))
-        if not found.status:
-            return OK
-        status = RolloutStatus.EXTRAPOLATING
-        if found.status & c['LTS_LEFT_BOUNDS']:
-            status = RolloutStatus.LEFT_BOUNDS
-        if found.status & c['LTS_NON_FINITE']:
-            status = RolloutStatus.NON_FINITE
-        text = ctypes.create_string_buffer(200)
-        self.call('reason', text, len(text))
-        return Judgement(status, found.frame, found.node, text.value.decode())
 
     def save(self) -> bytes:
         """The state, for `load_state`."""

@@ -1,4 +1,4 @@
-"""Who gets which engine of a `live.stepper.Stepper`: C where model and machine have it, else
+"""Who computes the frames of a `live.stepper.Stepper`: C where model and machine have it, else
 TensorFlow, which then says why.
 
 C gives the frames of TensorFlow to round-off.
@@ -6,51 +6,52 @@ C gives the frames of TensorFlow to round-off.
 
 import numpy as np
 
-from learning_to_simulate.live.engine import SubspaceEngine
+from learning_to_simulate.live.stepper import Stepper
 from learning_to_simulate.native import library
 from learning_to_simulate.native.binding import CSubspace
 
 BEST, C, TENSORFLOW = 'best', 'c', 'tensorflow'
 
 
-def of(model, starts=None, subspace=None, kind: str = BEST, n_rigid: int | None = None):
-    """The engine of a model.
+def stepper(model, starts=None, subspace=None, kind: str = BEST, **options) -> Stepper:
+    """A stepper of a model.
 
     Args:
       model: `subspace_model.Model`.
       starts, subspace: of its model folder (`live.starts.read`).
       kind: 'best', 'c' or 'tensorflow'.
-      n_rigid: R of the first run, where there are no starts.
+      **options: `n_rigid` and `outside` of `Stepper`.
 
     Raises:
-      ValueError: an unknown kind; with 'c' a model that has no C form.
+      ValueError: as `Stepper`; an unknown kind; with 'c' a model that has no C form.
       library.NoCompiler: with 'c', where there is no compiler.
     """
     if kind not in (BEST, C, TENSORFLOW):
         raise ValueError(f'engine is {kind!r}, must be one of {(BEST, C, TENSORFLOW)}')
-    name = 'TensorFlow'
+    why = ''
     if kind != TENSORFLOW:
         try:
-            return c_subspace_engine(model, starts, subspace, n_rigid)
+            return by_c(model, starts, subspace, **options)
         except (ValueError, library.NoCompiler) as error:
             if kind == C:
                 raise
-            name = f'TensorFlow ({str(error).splitlines()[0]})'
-    return SubspaceEngine(model, starts, subspace, n_rigid, name=name)
+            why = f' ({str(error).splitlines()[0]})'
+    found = Stepper(model, starts, subspace, **options)
+    found.engine += why
+    return found
 
 
-def c_subspace_engine(model, starts, subspace, n_rigid, make=CSubspace.of) -> SubspaceEngine:
-    """The engine of a model in a subspace whose step is by C; `make` makes the `CSubspace` of
-    (model, R)."""
-    engine = SubspaceEngine(
-        model, starts, subspace, n_rigid, lambda *model_and_size: CStep(make(*model_and_size))
-    )
-    engine.name = f'C ({engine.step.name})'
-    return engine
+def by_c(model, starts, subspace, make=CSubspace.of, **options) -> Stepper:
+    """A stepper by C; `make` makes the `CSubspace` of (model, R)."""
+    found = Stepper(
+        model, starts, subspace, make_step=lambda *of: CStep(make(*of)), **options
+    )  # fmt: skip
+    found.engine = f'C ({found.computing.name})'
+    return found
 
 
 class CStep:
-    """A step of `SubspaceEngine` by the C library: the same frames as `live.engine.TfStep`.
+    """A step of `Stepper` by the C library: the same frames as `live.tf_step.TfStep`.
 
     Args:
       soil: `CSubspace`.
@@ -71,7 +72,7 @@ class CStep:
         self._is_proposed = False
 
     def propose(self, body, displacement, context=None):
-        """The next frame; arguments and results as of `live.engine.TfStep.propose`, the
+        """The next frame; arguments and results as of `TfStep.propose`, the
         displacement is not needed: the library keeps the body of the last frame."""
         del displacement
         if self._is_proposed:

@@ -20,7 +20,8 @@ import numpy as np
 
 from learning_to_simulate import evaluation, registry
 from learning_to_simulate.export import exporting
-from learning_to_simulate.native import agreement, library
+from learning_to_simulate.native import exporting as exporting_c
+from learning_to_simulate.native import library
 from learning_to_simulate.training import loop
 from mpm import raw_run, scenes
 from pca_tools import convert, files
@@ -84,7 +85,7 @@ def _export(folder):
         flags = [flag.replace('-O3', '-O0') for flag in library.FLAGS]
         quick = functools.partial(library.compile_sources, flags=flags)
         with (
-            mock.patch.object(agreement, 'of_project', return_value={'skipped': 'here'}),
+            mock.patch.object(exporting_c.CModel, '_compared', return_value={'skipped': 'here'}),
             mock.patch.object(library, 'compile_sources', quick),
         ):
             exporting.export(f'{folder}/model', f'{folder}/trained_on', f'{folder}/exported', 'fmu')

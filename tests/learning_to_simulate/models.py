@@ -84,7 +84,6 @@ def rolled(model, group):
 
 def stepper(model, n_rigid, space=None, kind='tensorflow', **options):
     """A `Stepper` of a model that begins from recorded frames."""
-    from learning_to_simulate.live.stepper import Stepper
     from learning_to_simulate.native import engines
 
-    return Stepper(engines.of(model, None, space, kind, n_rigid), **options)
+    return engines.stepper(model, None, space, kind, n_rigid=n_rigid, **options)

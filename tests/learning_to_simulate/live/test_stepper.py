@@ -121,7 +121,7 @@ def test_a_thousand_steps_trace_nothing_and_keep_no_memory(made, steppers, kind)
     # One Python object kept per step would be 1000.
     assert sys.getallocatedblocks() - before < 500
     if kind == 'tensorflow':
-        assert stepper.computing.step.traces == 1
+        assert stepper.computing.traces == 1
 
 
 @pytest.mark.parametrize('kind', KINDS)
@@ -159,10 +159,11 @@ def test_what_is_refused_held_or_put_back_leaves_no_trace(made, steppers, kind):
 
 
 def test_holds_or_raises_as_it_is_told(made, steppers):
-    engine, group = steppers('tensorflow').computing, made[1]
+    model, group = made
     poses = group.position[0, H:, : group.n_rigid]
+    compiled = steppers('tensorflow').computing
     for outside in ('hold', 'raise'):
-        stepper = Stepper(engine, outside)
+        stepper = Stepper(model, None, None, group.n_rigid, outside, lambda *_: compiled)
         _reset(stepper, group)
         before = stepper.step(poses[0])
         if outside == 'raise':
@@ -173,7 +174,7 @@ def test_holds_or_raises_as_it_is_told(made, steppers):
             assert held.modes is before.modes and held.now != RolloutStatus.OK
         assert stepper.step(poses[1]).now == RolloutStatus.OK
     with pytest.raises(ValueError, match="outside is 'stop'"):
-        Stepper(engine, 'stop')
+        Stepper(model, n_rigid=group.n_rigid, outside='stop')
 
 
 def test_a_subspace_of_other_modes_or_particles_is_refused(made):
@@ -184,7 +185,8 @@ def test_a_subspace_of_other_modes_or_particles_is_refused(made):
 
 
 def test_before_the_start_nothing_is_answered(made, steppers):
-    stepper = Stepper(steppers('tensorflow').computing)
+    compiled = steppers('tensorflow').computing
+    stepper = Stepper(made[0], n_rigid=made[1].n_rigid, make_step=lambda *_: compiled)
     for call in (lambda: stepper.step(np.zeros(7)), stepper.particles):
         with pytest.raises(ValueError, match='start'):
             call()

@@ -120,7 +120,7 @@ def test_status_agrees_with_the_judgement_of_rollouts(tmp_path, motion):
         position = np.array([np.concatenate([f.rigid_pose, f.modes]) for f in frames])
         force = np.array([f.force for f in frames])
         (expected,) = rollout_status.judge(run, position[None], force[None], s.statistics, s.scene)
-        assert stepper.judgement == expected
+        assert worlds.judged(stepper) == expected
         seen.add(expected.status)
         if ranges.start(truth[H - 1], context, None).reason.startswith(s.scene.context_names):
             continue  # a context is judged with the start, and not in each frame
@@ -197,7 +197,7 @@ def test_bad_input_is_refused_and_changes_nothing(shared):
     with pytest.raises(ValueError, match='subspace has'):
         CSubspace.of(model, n, subspace=subspace.fit([np.random.rand(9, 20, 3)], synthetic.N_MODES))
     with pytest.raises(ValueError, match='outside its range'):
-        stepper.start()
+        worlds.started(stepper)
 
 
 def test_models_without_a_c_form_are_refused_by_name(tmp_path):
@@ -248,17 +248,18 @@ def test_a_start_by_pose_is_a_reset_from_rest(tmp_path, motion):
             for t in dt * np.arange(1 - H, 1)
         ]
     )
-    stepper.start(-1, pose(0.1, 0.0), np.r_[velocity, 0, 0, turning], start['context'])
+    twist = np.r_[velocity, 0, 0, turning]
+    worlds.started(stepper, -1, pose(0.1, 0.0), twist, start['context'])
     other.reset(history, start['context'])
     for k in range(1, 5):
         shift, angle = velocity * k * dt, 0.1 + turning * k * dt
         if motion == 'predicted':
             a, b = stepper.step(), other.step()
         else:
-            a = stepper.step_at(pose(angle, shift))
+            a = worlds.step_at(stepper, pose(angle, shift))
             b = other.step(points(angle, shift))
         np.testing.assert_allclose(a.modes, b.modes, atol=1e-7)
         np.testing.assert_allclose(a.force, b.force, rtol=1e-4, atol=1e-4)
     for bad in ({'start': 9}, {'pose': np.zeros(7)}, {'twist': [np.inf] * 6}, {'context': [1.0]}):
         with pytest.raises(ValueError):
-            stepper.start(**bad)
+            worlds.started(stepper, **bad)

@@ -120,8 +120,10 @@ def test_equals_the_stepper_for_every_step_of_the_master(shared, tmp_path):
     dt, twist = model.simulator.scene.dt, np.array([-0.06, -0.02, 0.0, 0.0, 0.0, 0.4])
     first = values['starts'][0]['points'].mean(axis=0)
     stepper = CSubspace.of(model, group.n_rigid, starts=starts)
-    stepper.start(0, _pose(first, twist, 0.0), twist, values['starts'][0]['context'])
-    expected = np.array([stepper.step_at(_pose(first, twist, k * dt)).force for k in range(1, 19)])
+    pose = _pose(first, twist, 0.0)
+    worlds.started(stepper, 0, pose, twist, values['starts'][0]['context'])
+    later = (_pose(first, twist, k * dt) for k in range(1, 19))
+    expected = np.array([worlds.step_at(stepper, pose).force for pose in later])
     for h in (dt, dt / 16, 3 * dt):
         slave = _Slave(path, tmp_path / f'h{h:.4f}', lin_vel=twist[:3], ang_vel=twist[3:])
         forces = []

@@ -108,7 +108,7 @@ def test_two_models_live_in_one_program(small, tmp_path):
     built = _compiled(one)
     soils = [CSubspace.open(built, name) for name in ('lts_one', 'lts_two')]
     for soil in soils:
-        soil.start()
+        worlds.started(soil)
     with pytest.raises(ValueError, match='saved state'):
         soils[0].load_state(soils[1].save() + bytes(10_000))
 
@@ -116,8 +116,7 @@ def test_two_models_live_in_one_program(small, tmp_path):
 def test_the_export_command_compares_and_refuses(saved, tmp_path, monkeypatch, capsys):
     out = str(tmp_path / 'out')
     values = types.SimpleNamespace(
-        model_path=saved[0], data_path=saved[1], output_path=out, format='c', n_rigid=None,
-        n_tools=None,
+        model_path=saved[0], data_path=saved[1], output_path=out, format='c', n_tools=None
     )  # fmt: skip
     export_command.run(values)
     assert 'largest difference to the source' in capsys.readouterr().out

@@ -120,8 +120,9 @@ def test_live_steps_in_c_are_those_of_tensorflow(made):
 
 
 def test_live_steps_keep_the_last_one_and_flag_one_outside(made, stepper):
-    _, group = made
-    poses = group.position[0, H:, : group.n_rigid]
+    model, group = made
+    n = group.n_rigid
+    poses = group.position[0, H:, :n]
     held, given = [], []
     for frames, contexts in (
         (held, [group.context[0, H], None]),
@@ -135,7 +136,7 @@ def test_live_steps_keep_the_last_one_and_flag_one_outside(made, stepper):
     assert frame.judgement.frame == H + 2
     with pytest.raises(ValueError, match='context'):
         stepper.step(poses[3], [9.81])
-    careful = Stepper(stepper.computing, 'raise')
+    careful = Stepper(model, n_rigid=n, outside='raise', make_step=lambda *_: stepper.computing)
     careful.reset(group.position[0, :H], group.context[0, 0])
     with pytest.raises(ValueError, match='friction_angle_deg 80'):
         careful.step(poses[0], [9.81, 80.0])
