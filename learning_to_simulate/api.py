@@ -195,7 +195,8 @@ class TrainedModel:
         """
         from learning_to_simulate.native import engines
 
-        return engines.stepper(self.model, *self._from_rest(), engine, outside=outside)
+        starts, space = self._from_rest()
+        return engines.stepper(self.model, starts, space, engine, outside=outside)
 
     def rollout(self, path, velocity=None, case: int | None = None, context=None):
         """Rolls out a whole path, several one after the other, or a recorded run.

@@ -206,23 +206,19 @@ class NodeRanges:
         return unlike or OK
 
     def _predicted(self, frame, position, force):
-        bounds, predicted = self.bounds[:, self._first :], position[self._first :]
-        least, most = bounds[:2]
-        size = 0.0 if force is None else float(np.dot(force, force)) ** 0.5
-        inside = ((predicted >= least) & (predicted <= most)).all()  # false for NaN as well
-        if inside and size <= self._force_limit and np.isfinite(size):
-            return OK
-        bad = RolloutStatus.NON_FINITE
+        bad, left = RolloutStatus.NON_FINITE, RolloutStatus.LEFT_BOUNDS
         if not (finite := np.isfinite(position).all(axis=1)).all():
             return Judgement(bad, frame, int((~finite).argmax()), 'position is not finite')
+        size = 0.0 if force is None else float(np.dot(force, force)) ** 0.5
         if not np.isfinite(size):
             return Judgement(bad, frame, -1, 'force is not finite')
-        left = _first_outside(RolloutStatus.LEFT_BOUNDS, predicted, bounds, frame, self._first)
-        if left:
-            return left
+        n = self._first
+        if found := _first_outside(left, position[n:], self.bounds[:, n:], frame, n):
+            return found
+        if size <= self._force_limit:
+            return OK
         reason = f'force {size:.4g} N is above {BOUNDS_FACTOR:g} x the largest of training'
-        reason += f' ({self._force_limit:.4g} N)'
-        return Judgement(RolloutStatus.LEFT_BOUNDS, frame, -1, reason)
+        return Judgement(left, frame, -1, f'{reason} ({self._force_limit:.4g} N)')
 
     def _unlike_context(self, frame, context):
         if self.context is None or context is None:
@@ -238,21 +234,10 @@ class NodeRanges:
             up = self._scene.up_axis
             body = without_height(body, up)
             before = None if before is None else without_height(before, up)
-        (low, high, *_), *moving, (slowest, fastest, *_) = self.motion
-        extent = body.max(axis=0) - body.min(axis=0)
-        good = ((body >= low) & (body <= high)).all()
-        good &= ((extent >= moving[1][0]) & (extent <= moving[1][1])).all()
+        rows = [('coordinate', body, 0, 0), ('extent of the body', np.ptp(body, 0)[None], 2, -1)]
         if before is not None:
             step = body - before
-            square = np.einsum('rd,rd->', step, step) / len(step)
-            good &= ((step >= moving[0][0]) & (step <= moving[0][1])).all()
-            good &= max(slowest[0], 0.0) ** 2 <= square <= fastest[0] ** 2
-        if good:
-            return None
-        # The same once more, in words, which cost four times the check.
-        rows = [('coordinate', body, 0, 0), ('extent of the body', extent[None], 2, -1)]
-        if before is not None:
-            speed = np.sqrt(square).reshape(1, 1)
+            speed = np.sqrt(np.einsum('rd,rd->', step, step) / len(step)).reshape(1, 1)
             rows.insert(1, ('displacement', step, 1, 0))
             rows.append(('displacement of the body', speed, 3, -1))
         found = (

@@ -48,12 +48,14 @@ class Frame(NamedTuple):
     force: np.ndarray | None
     now: RolloutStatus = RolloutStatus.OK
 
-    torque = None  # none of these models predicts one
-
     def __repr__(self) -> str:
         values = [] if self.force is None else [f'{value:.4g}' for value in np.ravel(self.force)]
         force = f'force {", ".join(values)} N, ' if values else ''
         return f'<frame: {force}{self.status}{f" ({self.reason})" if self.reason else ""}>'
+
+    @property
+    def torque(self) -> None:
+        """None of these models predicts one."""
 
     @property
     def status(self) -> RolloutStatus:

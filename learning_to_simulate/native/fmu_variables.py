@@ -43,7 +43,7 @@ class Layout(NamedTuple):
       dt: step of the default experiment, s.
       derivatives: whether there are directional ones.
       kind: of the C files, `fmu_<kind>.c`.
-      lines: of fmu_model.h.
+      lines: of fmu_model.h, with first value and kind of each real.
     """
 
     body: str
@@ -96,6 +96,13 @@ def _vector(name, *rest):
     return [Variable(f'{name}.{axis}', *rest) for axis in 'xyz']
 
 
+# Causality -> kind in fmu_core.h.
+_KINDS = {
+    'input': 'FMU_INPUT', 'output': 'FMU_OUTPUT', 'local': 'FMU_OUTPUT',
+    'parameter': 'FMU_PARAMETER', 'constant': 'FMU_CONSTANT',
+}  # fmt: skip
+
+
 def _digest(values):
     text = 'sha256 of the numbers of the model'
     return Variable('digest', None, 'constant', text, values['digest'])
@@ -130,11 +137,13 @@ def _of_graph(values):
     text = 'which training start; -1: the one whose parameters are nearest'
     limits = {'min': '-1', 'max': str(values['n_start'] - 1)}
     given = values['motion'] in (c['LTS_PRESCRIBED'], c['LTS_DRIVEN'])
+    numbered: dict[int, Variable] = dict(enumerate(reals))
     return Layout(
-        body, dict(enumerate(reals)), [Variable('start', None, 'parameter', text, '-1', limits)],
+        body, numbered, [Variable('start', None, 'parameter', text, '-1', limits)],
         [Variable(f'status.{name}', None, 'output', text) for name, text in _BOOLEANS.items()],
         [_digest(values)], values['dt'], False, 'graph',
-        [f'#define FMU_CONTEXT {values["n_context"]}', f'#define FMU_GIVEN {int(given)}'],
+        [f'#define FMU_CONTEXT {values["n_context"]}', f'#define FMU_GIVEN {int(given)}',
+         *_table(numbered, len(reals))],
     )  # fmt: skip
 
 
@@ -164,14 +173,13 @@ def _of_soil(values, tools):
     body, tool = 'tool' if name == 'blade' else 'wheel', TOOLS[name]()
     reals: dict[int, Variable] = {}
     integers, booleans, strings = [], [], [_digest(values)]
-    (length, across), first = TERRAIN['size'], []
+    (length, across), count = TERRAIN['size'], 0
     for k in range(tools):
         place = (0.75 * length, tool.radius + 0.05, across * (k + 0.5) / tools)
         index = f'[{k + 1}]' if tools > 1 else ''
         known = _of_tool(name, body, index, place, tool)
-        start = len(first)
-        reals |= {start + at: variable for at, variable in known.items()}
-        first += [_start(known.get(at)) for at in _PLACES]
+        reals |= {count + at: variable for at, variable in known.items()}
+        count += N_OF_TOOL
         measures = ', '.join(
             f'{i + 1} {n}' for i, n in enumerate(values['judged_names'].split(','))
         )
@@ -183,17 +191,15 @@ def _of_soil(values, tools):
             for label, text in _SOIL_BOOLEANS.items()
         ]
     ground = _ground()
-    reals |= {len(first) + at: variable for at, variable in enumerate(ground)}
-    first += [_start(variable) for variable in ground]
-    numbers = ', '.join(repr(float(v)) for v in first)
+    reals |= dict(enumerate(ground, count))
     return Layout(
         body, reals, integers, booleans, strings, STEP, True, 'soil',
         [f'#define FMU_TOOLS {tools}', f'#define FMU_STEP {STEP!r}',
-         f'#define FMU_FIRST {{{numbers}}}'],
+         *_table(reals, count + len(ground))],
     )  # fmt: skip
 
 
-_PLACES = range(31 + HEIGHTS[0] * HEIGHTS[1] + len(_SHAPE))  # VR_TOOL of fmu_soil.h
+N_OF_TOOL = 31 + HEIGHTS[0] * HEIGHTS[1] + len(_SHAPE)  # VR_TOOL of fmu_soil.h
 
 
 def _of_tool(name, body, index, place, tool):
@@ -240,5 +246,12 @@ def _ground():
     ]
 
 
-def _start(variable):
-    return 0.0 if variable is None or variable.start is None else variable.start
+def _table(reals: dict[int, Variable], count: int) -> list[str]:
+    """Lines of fmu_model.h: first value and kind of each real; 0 where there is none."""
+    rows = [reals.get(at) for at in range(count)]
+    first = (float(r.start) if r and r.start is not None else 0.0 for r in rows)
+    kinds = (_KINDS[r.causality] if r else 'FMU_NONE' for r in rows)
+    return [
+        f'#define FMU_{name} {{{", ".join(map(str, values))}}}'
+        for name, values in (('FIRST', first), ('KINDS', kinds))
+    ]

@@ -100,7 +100,7 @@ def test_training_windows_hold_the_force_on_each(made):
     model, group = made
     (tensors,) = Trainer(model, [group])._tensors
     s, seed = model.simulator.statistics, tf.constant([1, 2])
-    force = tensors.windows(8, H + 1, seed).load
+    force = tensors.windows(8, H + 1, seed).force
     run, start = (x.numpy() for x in tensors.picks(8, H + 1, seed))
     expected = (group.force[run, start + H] - s.force_mean) / s.force_std
     np.testing.assert_allclose(force[:, H], expected, rtol=1e-4, atol=1e-5)

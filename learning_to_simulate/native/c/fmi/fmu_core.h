@@ -10,7 +10,31 @@
 
 typedef enum { FMU_CREATED, FMU_INITIALISING, FMU_STEPPING, FMU_TERMINATED } fmu_phase;
 
-#include FMU_LAYOUT /* of a kind of model: `fmu_values`, which a saved state begins with, and `fmu_model` */
+/* Value references of the reals of a body that both kinds of models have; modelDescription.xml is written from the same
+ * order. */
+enum {
+  VR_POSITION = 0,
+  VR_ROTATION = 3,
+  VR_LINEAR = 7,
+  VR_ANGULAR = 10,
+  VR_POINT = 13, /* the first output */
+  VR_FORCE = 16,
+  VR_MOMENT = 19,
+  VR_OWN = 22
+};
+/* What a real variable is, by its value reference: FMU_KINDS of fmu_model.h. */
+enum { FMU_NONE, FMU_INPUT, FMU_OUTPUT, FMU_PARAMETER, FMU_CONSTANT };
+
+#include FMU_LAYOUT /* of a kind of model: N_REAL, N_BOOLEAN, `fmu_own`, `fmu_model` */
+
+/* What a saved state begins with. */
+typedef struct {
+  fmu_phase now;
+  int begun; /* whether the model has been started from the current values */
+  double time;
+  fmu_own own;
+  double real[N_REAL];
+} fmu_values;
 
 typedef struct fmu_core fmu_core;
 struct fmu_core {
@@ -24,12 +48,13 @@ struct fmu_core {
 /* ---- the model ---- */
 const char *fmu_make(fmu_core *core); /* takes memory, which fmu_free gives back */
 void fmu_free(fmu_core *core);
-void fmu_defaults(fmu_core *core);
+/* After the values have got those of fmu_model.h. */
+void fmu_clear(fmu_core *core);
 /* Starts the model from the current values, once they have changed. */
 const char *fmu_begin(fmu_core *core);
 const char *fmu_go(fmu_core *core, double h);
-const char *fmu_get_reals(fmu_core *core, const unsigned *vr, size_t n, double *value);
-const char *fmu_set_reals(fmu_core *core, const unsigned *vr, size_t n, const double *value);
+/* Computes an output that is not computed before somebody looks. */
+void fmu_show(fmu_core *core, unsigned vr);
 const char *fmu_get_integer(fmu_core *core, unsigned vr, int *value);
 const char *fmu_set_integer(fmu_core *core, unsigned vr, int value);
 const char *fmu_get_boolean(fmu_core *core, unsigned vr, int *value);
@@ -45,7 +70,13 @@ const char *fmu_read_state(fmu_core *core, const void *bytes, size_t size);
 const char *fmu_initialise(fmu_core *core);
 const char *fmu_start_stepping(fmu_core *core);
 const char *fmu_step(fmu_core *core, double time, double h);
+void fmu_defaults(fmu_core *core);
+const char *fmu_get_reals(fmu_core *core, const unsigned *vr, size_t n, double *value);
+const char *fmu_set_reals(fmu_core *core, const unsigned *vr, size_t n, const double *value);
 /* Whether a parameter may still be set, and a value is a number. */
 const char *fmu_check_set(const fmu_core *core, int is_parameter, double value);
+/* Pose of a body whose inputs are reals from `inputs` on, and its velocity. */
+lts_pose fmu_pose(const double *inputs);
+lts_twist fmu_twist(const double *inputs);
 
 #endif

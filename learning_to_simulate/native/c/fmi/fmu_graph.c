@@ -23,20 +23,6 @@ static lts_description described(void) {
   return model;
 }
 
-static lts_pose pose_of(const fmu_core *c) {
-  lts_pose pose;
-  memcpy(pose.position, c->v.real + VR_POSITION, sizeof pose.position);
-  memcpy(pose.rotation, c->v.real + VR_ROTATION, sizeof pose.rotation);
-  return pose;
-}
-
-static lts_twist twist_of(const fmu_core *c) {
-  lts_twist twist;
-  memcpy(twist.linear, c->v.real + VR_LINEAR, sizeof twist.linear);
-  memcpy(twist.angular, c->v.real + VR_ANGULAR, sizeof twist.angular);
-  return twist;
-}
-
 /* Force along the travel, across the up axis; 0 at rest. */
 static double drawbar_of(const double *linear, const double *force, int up) {
   double along = 0.0, square = 0.0;
@@ -53,7 +39,7 @@ static void take(fmu_core *c, const lts_result *answer) {
   const int up = described().up_axis;
   memcpy(real + VR_POINT, answer->point, sizeof answer->point);
   memcpy(real + VR_FORCE, answer->force, sizeof answer->force);
-  real[VR_SINKAGE] = c->v.first_height - answer->point[up];
+  real[VR_SINKAGE] = c->v.own.first_height - answer->point[up];
   real[VR_DRAWBAR] = drawbar_of(real + VR_LINEAR, answer->force, up);
 }
 
@@ -71,50 +57,41 @@ static void tell(fmu_core *c, int status, int frame) {
   if (status) lts_judge(c->model.soil, &judged);
   if (status) lts_reason(c->model.soil, why, sizeof why);
   for (int i = 0; i < FMU_STATUS_BITS; ++i) {
-    if (!((status & ~c->v.told) >> i & 1)) continue;
+    if (!((status & ~c->v.own.told) >> i & 1)) continue;
     snprintf(text, sizeof text, "frame %d: %s", frame, texts[i]);
     const size_t n = strlen(text);
     if (judged.status >> i & 1) snprintf(text + n, sizeof text - n, ": %s", why);
     c->warn(c, text);
   }
-  c->v.told |= status;
+  c->v.own.told |= status;
 }
 
 /* Goes on by h s from the current values. Frames stay whole: see lts_advance. */
 static int go_on(fmu_core *c, double h, lts_result *answer) {
-  const lts_pose pose = pose_of(c);
-  const lts_twist twist = twist_of(c);
+  const lts_pose pose = fmu_pose(c->v.real);
+  const lts_twist twist = fmu_twist(c->v.real);
   return lts_advance(c->model.soil, h, FMU_GIVEN ? &pose : NULL, FMU_GIVEN ? &twist : NULL, answer);
 }
 
 const char *fmu_begin(fmu_core *c) {
   if (c->v.begun) return NULL;
-  const lts_pose pose = pose_of(c);
-  const lts_twist twist = twist_of(c);
+  const lts_pose pose = fmu_pose(c->v.real);
+  const lts_twist twist = fmu_twist(c->v.real);
   lts_result answer;
-  int status = lts_start(c->model.soil, c->v.start, &pose, &twist, c->v.real + VR_CONTEXT);
+  int status = lts_start(c->model.soil, c->v.own.start, &pose, &twist, c->v.real + VR_CONTEXT);
   if (status >= 0) status = go_on(c, 0.0, &answer);
   if (status < 0) return lts_error_text(status);
-  c->v.first_height = answer.point[described().up_axis];
-  c->v.told = 0;
+  c->v.own.first_height = answer.point[described().up_axis];
+  c->v.own.told = 0;
   take(c, &answer);
   tell(c, status, 0);
   c->v.begun = 1;
   return NULL;
 }
 
-void fmu_defaults(fmu_core *c) {
-  memset(&c->v, 0, sizeof c->v);
-  double *real = c->v.real;
-  lts_pose pose;
-  lts_start_pose(&FMU_MODEL, 0, &pose);
-  memcpy(real + VR_POSITION, pose.position, sizeof pose.position);
-  memcpy(real + VR_ROTATION, pose.rotation, sizeof pose.rotation);
-  real[VR_FRAME_TIME] = described().dt;
-  lts_start_context(&FMU_MODEL, 0, real + VR_CONTEXT);
-  memcpy(real + VR_POINT, real + VR_POSITION, 3 * sizeof(double));
-  c->v.start = -1;
-}
+void fmu_clear(fmu_core *c) { c->v.own.start = -1; }
+
+void fmu_show(fmu_core *c, unsigned vr) { (void)c, (void)vr; }
 
 const char *fmu_go(fmu_core *c, double h) {
   lts_result answer;
@@ -125,33 +102,9 @@ const char *fmu_go(fmu_core *c, double h) {
   return status & LTS_NON_FINITE ? "the soil has left all numbers" : NULL;
 }
 
-const char *fmu_get_reals(fmu_core *c, const unsigned *vr, size_t n, double *value) {
-  for (size_t i = 0; i < n; ++i) {
-    if (vr[i] >= N_REAL) return "no real variable of this value reference";
-    if (c->v.now == FMU_INITIALISING && vr[i] >= VR_POINT && vr[i] < VR_FRAME_TIME) {
-      const char *wrong = fmu_begin(c);
-      if (wrong) return wrong;
-    }
-    value[i] = c->v.real[vr[i]];
-  }
-  return NULL;
-}
-
-const char *fmu_set_reals(fmu_core *c, const unsigned *vr, size_t n, const double *value) {
-  for (size_t i = 0; i < n; ++i) {
-    const int is_context = vr[i] >= VR_CONTEXT && vr[i] < N_REAL;
-    if (vr[i] >= VR_POINT && !is_context) return "this real variable cannot be set";
-    const char *wrong = fmu_check_set(c, is_context, value[i]);
-    if (wrong) return wrong;
-  }
-  for (size_t i = 0; i < n; ++i) c->v.real[vr[i]] = value[i];
-  if (c->v.now < FMU_STEPPING) c->v.begun = 0;
-  return NULL;
-}
-
 const char *fmu_get_integer(fmu_core *c, unsigned vr, int *value) {
   if (vr) return "no integer variable of this value reference";
-  *value = c->v.start;
+  *value = c->v.own.start;
   return NULL;
 }
 
@@ -160,7 +113,7 @@ const char *fmu_set_integer(fmu_core *c, unsigned vr, int start) {
   if (vr) return "no integer variable of this value reference";
   if (wrong) return wrong;
   if (start < -1 || start >= described().n_start) return "the model has no such start";
-  c->v.start = start;
+  c->v.own.start = start;
   c->v.begun = 0;
   return NULL;
 }
@@ -169,7 +122,7 @@ const char *fmu_get_boolean(fmu_core *c, unsigned which, int *value) {
   static const int bits[N_BOOLEAN] = {0, LTS_EXTRAPOLATING, LTS_LEFT_BOUNDS, LTS_NON_FINITE};
   if (which >= N_BOOLEAN) return "no Boolean variable of this value reference";
   const char *wrong = c->v.now == FMU_INITIALISING ? fmu_begin(c) : NULL;
-  *value = which ? (c->v.told & bits[which]) != 0 : !c->v.told;
+  *value = which ? (c->v.own.told & bits[which]) != 0 : !c->v.own.told;
   return wrong;
 }
 
@@ -202,6 +155,6 @@ const char *fmu_read_state(fmu_core *c, const void *bytes, size_t size) {
   const int code = lts_load(c->model.soil, (const char *)bytes + sizeof c->v, size - sizeof c->v);
   if (code < 0) return lts_error_text(code);
   memcpy(&c->v, bytes, sizeof c->v);
-  if (c->v.start < -1) c->v.start = -1; /* of forged bytes; the model refuses what is too large */
+  if (c->v.own.start < -1) c->v.own.start = -1; /* of forged bytes; the model refuses what is too large */
   return NULL;
 }

@@ -105,8 +105,8 @@ static void take(fmu_core *c, int tool, const lts_soil_result *r) {
   lts_soil_place(c->model.soil[tool], place);
   real[VR_DRAWBAR] = place[3] * r->force[0] + place[5] * r->force[2];
   c->model.shown[tool] = 0;
-  const int fresh = r->now.status & ~c->v.told[tool];
-  c->v.told[tool] |= r->now.status;
+  const int fresh = r->now.status & ~c->v.own.told[tool];
+  c->v.own.told[tool] |= r->now.status;
   if (!fresh) return;
   char text[300], why[200];
   lts_soil_reason(c->model.soil[tool], &r->now, why, sizeof why);
@@ -114,9 +114,11 @@ static void take(fmu_core *c, int tool, const lts_soil_result *r) {
   c->warn(c, text);
 }
 
-/* Heights about a tool, as all tools have left them; only where somebody looks. */
-static void show_heights(fmu_core *c, int tool) {
-  if (c->model.shown[tool]) return;
+/* Heights about a tool, as all tools have left them. */
+void fmu_show(fmu_core *c, unsigned vr) {
+  int which;
+  const int tool = tool_of(vr, &which);
+  if (which < VR_HEIGHTS || c->model.shown[tool]) return;
   double place[9], *real = of_tool(c, tool), *to = real + VR_HEIGHTS;
   const double side = c->v.real[VR_GRID];
   lts_terrain_update(&c->model.ground);
@@ -131,14 +133,10 @@ static void show_heights(fmu_core *c, int tool) {
   c->model.shown[tool] = 1;
 }
 
-/* Pose [7] and velocity [6] of the inputs, and where they lead in h s. */
+/* Where the pose of inputs leads in h s. */
 static lts_pose coming(const double inputs[13], double h) {
-  lts_pose pose;
-  lts_twist twist;
-  memcpy(pose.position, inputs + VR_POSITION, sizeof pose.position);
-  memcpy(pose.rotation, inputs + VR_ROTATION, sizeof pose.rotation);
-  memcpy(twist.linear, inputs + VR_LINEAR, sizeof twist.linear);
-  memcpy(twist.angular, inputs + VR_ANGULAR, sizeof twist.angular);
+  lts_pose pose = fmu_pose(inputs);
+  const lts_twist twist = fmu_twist(inputs);
   lts_moved_pose(&pose, &twist, h, &pose);
   return pose;
 }
@@ -150,7 +148,7 @@ const char *fmu_begin(fmu_core *c) {
     const lts_pose pose = coming(of_tool(c, k), 0.0);
     lts_soil_result result;
     const int code = lts_soil_start(c->model.soil[k], &pose, &result);
-    c->v.told[k] = 0;
+    c->v.own.told[k] = 0;
     if (code < 0) wrong = say(c, k, code);
     if (!wrong) take(c, k, &result);
   }
@@ -175,7 +173,7 @@ const char *fmu_go(fmu_core *c, double h) {
     take(c, k, &result);
     if (result.now.status & LTS_NON_FINITE) return "the soil has left all numbers";
   }
-  c->v.h = h;
+  c->v.own.h = h;
   return NULL;
 }
 
@@ -202,13 +200,13 @@ const char *fmu_derivative(fmu_core *c, const unsigned *unknown, size_t n_unknow
       size[part] = hypot(size[part], seed[k][i]);
     }
     /* How far the coming pose goes; a tenth of a rad counts as a cm. */
-    const double way = size[0] + c->v.h * size[2] + 0.1 * (2.0 * size[1] + c->v.h * size[3]);
+    const double way = size[0] + c->v.own.h * size[2] + 0.1 * (2.0 * size[1] + c->v.own.h * size[3]);
     if (!(way > 0.0)) continue;
     lts_soil_result ends[2];
     for (int end = 0; end < 2; ++end) {
       for (int i = 0; i < 13; ++i) inputs[i] = of_tool(c, k)[i] + (end ? -REACH : REACH) / way * seed[k][i];
-      const lts_pose pose = coming(inputs, c->v.h);
-      const int code = lts_soil_propose(c->model.soil[k], &pose, c->v.h, &ends[end]);
+      const lts_pose pose = coming(inputs, c->v.own.h);
+      const int code = lts_soil_propose(c->model.soil[k], &pose, c->v.own.h, &ends[end]);
       if (code < 0) return say(c, k, code);
     }
     for (int i = 0; i < 3; ++i) {
@@ -225,38 +223,9 @@ const char *fmu_derivative(fmu_core *c, const unsigned *unknown, size_t n_unknow
 
 /* ---- variables ---- */
 
-void fmu_defaults(fmu_core *c) {
-  static const double first[] = FMU_FIRST;
+void fmu_clear(fmu_core *c) {
   fmu_free(c);
-  memset(&c->v, 0, sizeof c->v);
-  memcpy(c->v.real, first, sizeof first);
-  c->v.h = FMU_STEP;
-}
-
-const char *fmu_get_reals(fmu_core *c, const unsigned *vr, size_t n, double *value) {
-  for (size_t i = 0; i < n; ++i) {
-    if (vr[i] >= N_REAL) return "no real variable of this value reference";
-    int which;
-    const int tool = tool_of(vr[i], &which), is_output = tool >= 0 && which >= VR_POINT && which < VR_SHAPE;
-    const char *wrong = is_output && c->v.now == FMU_INITIALISING ? fmu_begin(c) : NULL;
-    if (wrong) return wrong;
-    if (is_output && which >= VR_HEIGHTS && c->v.begun) show_heights(c, tool);
-    value[i] = c->v.real[vr[i]];
-  }
-  return NULL;
-}
-
-const char *fmu_set_reals(fmu_core *c, const unsigned *vr, size_t n, const double *value) {
-  for (size_t i = 0; i < n; ++i) {
-    int which;
-    const int tool = tool_of(vr[i], &which), is_parameter = tool < 0 || which >= VR_SHAPE;
-    if (vr[i] >= N_REAL || (!is_parameter && which >= VR_POINT)) return "this real variable cannot be set";
-    const char *wrong = fmu_check_set(c, is_parameter, value[i]);
-    if (wrong) return wrong;
-  }
-  for (size_t i = 0; i < n; ++i) c->v.real[vr[i]] = value[i];
-  if (c->v.now < FMU_STEPPING) c->v.begun = 0;
-  return NULL;
+  c->v.own.h = FMU_STEP;
 }
 
 /* The newest frame of a tool; of one that stands nowhere all is well. */
@@ -286,7 +255,7 @@ const char *fmu_get_boolean(fmu_core *c, unsigned vr, int *value) {
   if (vr >= FMU_TOOLS * N_BOOLEAN) return "no Boolean variable of this value reference";
   const int tool = (int)vr / N_BOOLEAN;
   const char *wrong = newest(c, tool, &result);
-  const int told = c->v.told[tool];
+  const int told = c->v.own.told[tool];
   const int values[N_BOOLEAN] = {!told, !result.now.status, (told & LTS_EXTRAPOLATING) != 0,
                                  (told & LTS_NON_FINITE) != 0};
   *value = values[vr % N_BOOLEAN];
