@@ -33,6 +33,10 @@ COLUMNS = {
     'wheel': ('soil_mm', 'near_mm', 'height_mm', 'drawbar_relative_l2', 'force_relative_l2',
               'vertical_relative_l2', 'pitch_relative_l2', 'drawbar_rmse', 'force_peak_error'),
 }  # fmt: skip
+# Of these, by kind of run.
+OF_KINDS = (
+    'soil_mm', 'near_mm', 'force_relative_l2', 'drawbar_relative_l2', 'force_rmse', 'drawbar_rmse',
+)  # fmt: skip
 
 
 def methods(path: str, kind: str = 'all') -> str:
@@ -93,7 +97,7 @@ def _wins(figure, method):
 def kinds(path: str, name: str = 'soil field') -> str:
     """Means of one method by kind of run."""
     document = judge.read(path)
-    columns = COLUMNS[document['scene']]
+    columns = [key for key in COLUMNS[document['scene']] if key in OF_KINDS]
     rows = []
     for kind, of in document['summary'].items():
         if found := of.get(name):
