@@ -52,6 +52,7 @@ typedef struct {
   float here[LTS_SOIL_CHANNELS][LTS_SOIL_LANES];
   float area[LTS_SOIL_LANES], foremost[LTS_SOIL_LANES], carried[LTS_SOIL_LANES], gate[LTS_SOIL_LANES];
   size_t which[LTS_SOIL_LANES];
+  int knows_tool; /* whether the inputs of all lanes hold what one strip shows of the tool */
 } lts_places;
 
 struct lts_soil {
@@ -146,7 +147,15 @@ void lts_soil_copy(const lts_soil *soil, lts_passage *to, const lts_passage *fro
 /* lts_soil_table.c: inputs [n][ld] of places. offsets count from `base`; `other` are neighbours of strips, or null. */
 void lts_soil_inputs(const lts_soil *soil, const lts_table *table, const lts_places *places,
                      int n_strip, const float *base, const int32_t *other, float *out, int ld);
-/* A channel at u of one strip, or between two. */
+/* Where channels are read: at u of a strip, or between two. */
+typedef struct {
+  size_t bin;          /* the lower one, of the lower strip */
+  int has_next;        /* strip */
+  float along, across; /* shares of the next bin, and of the next strip */
+} lts_spot;
+lts_spot lts_soil_spot(const lts_soil *soil, int n_strip, int strip, float share, float u);
+float lts_soil_channel(const lts_soil *soil, int channel, const lts_spot *spot);
+/* Of one channel: both at once. */
 float lts_soil_channel_at(const lts_soil *soil, int channel, int n_strip, int strip, float share, float u);
 
 /* lts_soil_load.c: loads [members][6] of a passage; whether any is not 0. */

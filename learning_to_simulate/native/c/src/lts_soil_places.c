@@ -19,17 +19,23 @@ static int take(const lts_soil *soil, const lts_passage *p, int is_surface, cons
   if (!(across * stirred > 0.0f)) return 0;
   double share;
   const int strip = lts_soil_strip_at(soil, n_strip, place[2], &share);
-  for (int c = 0; c < LTS_SOIL_CHANNELS; ++c) {
-    at->here[c][i] = 0.0f;
-    if (c == LTS_SOIL_SINCE) continue;
-    at->here[c][i] = lts_soil_channel_at(soil, c, n_strip, strip, (float)share, u);
-  }
-  float gate = at->here[LTS_SOIL_INFLUENCE][i] * stirred * across;
-  if (!is_surface) {
-    const float deep = at->here[LTS_SOIL_DISTURBED][i] + m->below - (at->here[LTS_SOIL_SURFACE][i] - y);
-    gate *= clip(deep / m->below_ramp, 0.0f, 1.0f);
-  }
+  const lts_spot spot = lts_soil_spot(soil, n_strip, strip, (float)share, u);
+  const float influence = lts_soil_channel(soil, LTS_SOIL_INFLUENCE, &spot);
+  float gate = influence * stirred * across;
   if (!(gate > 0.0f)) return 0;
+  const float disturbed = lts_soil_channel(soil, LTS_SOIL_DISTURBED, &spot);
+  const float surface = lts_soil_channel(soil, LTS_SOIL_SURFACE, &spot);
+  if (!is_surface) {
+    const float deep = disturbed + m->below - (surface - y);
+    gate *= clip(deep / m->below_ramp, 0.0f, 1.0f);
+    if (!(gate > 0.0f)) return 0;
+  }
+  at->here[LTS_SOIL_CUT][i] = lts_soil_channel(soil, LTS_SOIL_CUT, &spot);
+  at->here[LTS_SOIL_SURFACE][i] = surface;
+  at->here[LTS_SOIL_SINCE][i] = 0.0f;
+  at->here[LTS_SOIL_AREA_BEFORE][i] = lts_soil_channel(soil, LTS_SOIL_AREA_BEFORE, &spot);
+  at->here[LTS_SOIL_INFLUENCE][i] = influence;
+  at->here[LTS_SOIL_DISTURBED][i] = disturbed;
   /* Farther from and nearer to the middle. */
   const double sign = place[2] < 0.0 ? -1.0 : 1.0, away[3] = {0.0, m->neighbour, -m->neighbour};
   for (int k = 0; k < 3; ++k) {
@@ -54,6 +60,10 @@ static int take(const lts_soil *soil, const lts_passage *p, int is_surface, cons
 /* The terrain beside, farther from and nearer to the middle; nothing where they change over. */
 static void see_beside(const lts_soil *soil, const lts_places *at, int n_strip, float *out, int ld) {
   const lts_soil_model *m = soil->model;
+  if (n_strip == 1) { /* nothing differs */
+    for (int i = 0; i < at->n; ++i) out[i * ld] = out[i * ld + 1] = 0.0f;
+    return;
+  }
   for (int i = 0; i < at->n; ++i) {
     const float fade = clip(fabsf(at->z[i]) / m->across_ramp, 0.0f, 1.0f);
     for (int k = 1; k < 3; ++k) {
@@ -64,12 +74,28 @@ static void see_beside(const lts_soil *soil, const lts_places *at, int n_strip, 
   }
 }
 
+/* What all places see of the tool; on one strip that is the same for all of a frame. */
+static void see_tool(const lts_soil *soil, lts_places *at, int n_strip, float *out, int ld) {
+  const int n = at->n;
+  float base[LTS_SOIL_LANES];
+  if (at->knows_tool) return;
+  if (n_strip == 1) at->n = 1;
+  for (int i = 0; i < at->n; ++i) base[i] = soil->scalars[0][LTS_SOIL_TIP];
+  lts_soil_inputs(soil, &soil->model->tool, at, n_strip, base, NULL, out, ld);
+  at->n = n;
+  if (n_strip > 1) return;
+  at->knows_tool = 1;
+  for (int i = 1; i < LTS_SOIL_LANES; ++i) {
+    memcpy(out + i * ld, out, (size_t)soil->model->tool.n_row * sizeof *out);
+  }
+}
+
 /* Sends places through their network and empties them. */
 static void answer(const lts_soil *soil, int n_strip, int is_surface, lts_places *at, float *out) {
   const lts_soil_model *m = soil->model;
   const lts_soil_network *net = is_surface ? &m->surface : &m->soil;
   const int n_out = is_surface ? 1 : 3, ld = LTS_PADDED(net->layers[0].rows);
-  float base[LTS_SOIL_LANES], sums[LTS_SOIL_LANES][3] = {{0.0f}};
+  float sums[LTS_SOIL_LANES][3] = {{0.0f}};
   float *inputs = soil->inputs;
   lts_soil_inputs(soil, &m->here, at, n_strip, at->u, NULL, inputs, ld);
   inputs += m->here.n_row;
@@ -78,8 +104,7 @@ static void answer(const lts_soil *soil, int n_strip, int is_surface, lts_places
     inputs += m->particle.n_row;
   }
   see_beside(soil, at, n_strip, inputs, ld);
-  for (int i = 0; i < at->n; ++i) base[i] = soil->scalars[0][LTS_SOIL_TIP];
-  lts_soil_inputs(soil, &m->tool, at, n_strip, base, NULL, inputs + 2, ld);
+  see_tool(soil, at, n_strip, inputs + 2, ld);
   for (int member = 0; member < soil->members; ++member) {
     const lts_dense *layers = net->layers + member * net->n_layer;
     const float *x = soil->inputs;
@@ -115,6 +140,7 @@ void lts_soil_find(lts_soil *soil, const lts_passage *p, int is_surface, size_t 
   if (!n) return;
   memset(out, 0, n * (is_surface ? 1 : 3) * sizeof *out);
   at->n = 0;
+  at->knows_tool = 0;
   for (size_t i = 0; i < n; ++i) {
     double local[3];
     place(of, i, local);

@@ -41,14 +41,24 @@ static void find_bins(const lts_soil_model *m, const float *base, float offset, 
   }
 }
 
-float lts_soil_channel_at(const lts_soil *soil, int channel, int n_strip, int strip, float share, float u) {
+lts_spot lts_soil_spot(const lts_soil *soil, int n_strip, int strip, float share, float u) {
   lanes_at at;
   find_bins(soil->model, &u, 0.0f, 1, &at);
-  const float *c = soil->bins[channel] + LTS_SOIL_ROW(soil, strip) + at.low[0];
-  const float here = c[0] + at.share[0] * (c[1] - c[0]);
-  if (strip + 1 >= n_strip) return here;
+  const lts_spot spot = {LTS_SOIL_ROW(soil, strip) + (size_t)at.low[0], strip + 1 < n_strip, at.share[0], share};
+  return spot;
+}
+
+float lts_soil_channel(const lts_soil *soil, int channel, const lts_spot *spot) {
+  const float *c = soil->bins[channel] + spot->bin;
+  const float here = c[0] + spot->along * (c[1] - c[0]);
+  if (!spot->has_next) return here;
   c += soil->model->n_bin;
-  return here + share * (c[0] + at.share[0] * (c[1] - c[0]) - here);
+  return here + spot->across * (c[0] + spot->along * (c[1] - c[0]) - here);
+}
+
+float lts_soil_channel_at(const lts_soil *soil, int channel, int n_strip, int strip, float share, float u) {
+  const lts_spot spot = lts_soil_spot(soil, n_strip, strip, share, u);
+  return lts_soil_channel(soil, channel, &spot);
 }
 
 static const lanes_at *at_offset(reading *r, float offset) {
