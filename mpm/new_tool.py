@@ -6,10 +6,12 @@ Examples:
     lts new-tool bucket.json --output_path=/shared/bucket --cluster=slurm:48
 
 The outline is that of `mpm/bodies.py`. Runs of the solver with that tool (`mpm.generate`) become a
-dataset (`pca_tools.convert`); a soil field is trained on it, from the weights of a shipped one, and
-judged beside that one on runs that were kept back; then it is written as a C project and a page.
+dataset (`pca_tools.convert`); a soil field is trained on it, from the weights of a shipped one, of
+which each network stays that is no better on validation runs. Both are judged on runs that were
+kept back. The new one is taken where neither its soil nor its force is worse there, else the
+shipped one; that is written as a C project, an FMU and a page.
 
-    raw/  data/  model/  judged/  judged_as_it_is/  c/  page.html  new_tool.json
+    raw/  data/  model/  judged/  judged_as_it_is/  c/  fmu/  page.html  new_tool.json
 
 Each step is a command of its own, that goes on where it stopped: so does this one, given again.
 """
@@ -115,13 +117,19 @@ def planned(tool: dict, count: int) -> tuple[scenes.Scene, str, list[str]]:
     return scene, kinds, list(cases)
 
 
-def errors(folder: str) -> tuple[str, float]:
-    """Soil and force of a judged model, in words; the force error, infinite of one that refused."""
+def errors(folder: str) -> tuple[str, list[float]]:
+    """Soil and force of a judged model, in words and as numbers; infinite of one that refused."""
     mean = files.read_json(os.path.join(folder, 'metrics.json'))['mean']['model']
-    soil, force = (mean.get(name) for name in ERRORS)
-    if soil is None or force is None:
-        return 'refused some of them', math.inf
-    return f'soil {soil:.2f} mm, force {force:.3f}', force
+    found = [mean.get(name) for name in ERRORS]
+    if None in found:
+        return 'refused some of them', [math.inf, math.inf]
+    return f'soil {found[0]:.2f} mm, force {found[1]:.3f}', found
+
+
+def is_taken(work: Work) -> bool:
+    """Whether the trained model is taken: nothing of it is worse than of the shipped one."""
+    own, usual = (errors(work.at(folder))[1] for folder in ('judged', 'judged_as_it_is'))
+    return own[0] < math.inf and all(a <= b for a, b in zip(own, usual, strict=True))
 
 
 def duration(seconds: float) -> str:
@@ -131,15 +139,15 @@ def duration(seconds: float) -> str:
 
 
 def verdict(work: Work, kept: int, where: str) -> str:
-    """The last line: errors on the runs kept back, those of the shipped model, time."""
-    own, usual = (errors(work.at(folder)) for folder in ('judged', 'judged_as_it_is'))
-    worse = '' if own[1] < usual[1] else '; its force is no better: make more --runs, or keep that'
+    """The last line: what was taken, its errors on the runs kept back and those of the other,
+    time."""
+    own, usual = (errors(work.at(folder))[0] for folder in ('judged', 'judged_as_it_is'))
+    both = (own, f'shipped model as it is: {usual}')
+    if not is_taken(work):
+        both = (f'shipped model as it is, {usual}', f'trained, not taken: {own}; make more --runs')
     time_taken = duration(sum(work.state['seconds'].values()))
     page = '' if os.path.exists(work.at('page.html')) else '; no page'
-    return (
-        f'{own[0]} on {kept} runs kept back; shipped model as it is: {usual[0]}{worse}; '
-        f'{time_taken} on {where}{page}'
-    )
+    return f'{both[0]} on {kept} runs kept back; {both[1]}; {time_taken} on {where}{page}'
 
 
 def main(values, arguments) -> None:
@@ -147,8 +155,10 @@ def main(values, arguments) -> None:
         raise ValueError('one JSON file of a tool was expected (mpm/README.md)')
     tool, count, kept = bodies.read_tool(arguments[0]), values.runs, values.kept
     kept = kept or max(count // 6, 1)
-    if count - kept < 1:
-        raise ValueError(f'of {count} runs {kept} are kept back: none is left to learn from')
+    if count - 2 * kept < 1:
+        raise ValueError(
+            f'of {count} runs {kept} are kept back and {kept} validate: none is left to learn from'
+        )
     scene, kinds, cases = planned(tool, count)
     first = folder_of(values.initial_weights or scene.name)
     asked = {
@@ -164,41 +174,42 @@ def main(values, arguments) -> None:
         inside = catalogue.bin_name(scene, cases[0])
         raw = work.at('raw', *filter(None, [inside]))
         work.do(
-            '1 of 6, runs of the solver', 'mpm.generate', f'--scene={scene.name}',
+            '1 of 7, runs of the solver', 'mpm.generate', f'--scene={scene.name}',
             f'--operator_seeds={FIRST_SEED}-{FIRST_SEED + count - 1}', f'--kinds={kinds}',
             f'--tool={tool_file}', f'--output_path={work.at("raw")}',
             f'--num_processes={values.num_processes}', f'--cluster={values.cluster}',
         )  # fmt: skip
         if not os.path.exists(work.at('data', 'metadata.json')):
-            # Runs of all kinds are kept back; some are for validation where there are enough.
-            held, valid = cases[-kept:], 1 / count if count >= 8 else 0.0
+            # Runs of all kinds are kept back, and as many validate.
             share = kept / count
             work.do(
-                '2 of 6, dataset', 'pca_tools.convert', f'--raw_path={raw}',
-                f'--output_path={work.at("data")}', f'--hold_out={",".join(held)}',
-                f'--split={1 - share - valid!r},{valid!r},{share!r}', '--frame_stride=4',
+                '2 of 7, dataset', 'pca_tools.convert', f'--raw_path={raw}',
+                f'--output_path={work.at("data")}', f'--hold_out={",".join(cases[-kept:])}',
+                f'--split={1 - 2 * share!r},{share!r},{share!r}', '--frame_stride=4',
             )  # fmt: skip
         if not os.path.exists(work.at('model', 'config.json')):
             work.do(
-                '3 of 6, training', lts + 'train', '--model=soil_field', data, model,
+                '3 of 7, training', lts + 'train', '--model=soil_field', data, model,
                 f'--initial_weights={first}', f'--num_steps={values.num_steps}',
                 f'--set=learning_rate={values.learning_rate}',
             )  # fmt: skip
         for name, of in (('judged', model), ('judged_as_it_is', f'--model_path={first}')):
             if not os.path.exists(work.at(name, 'metrics.json')):
                 work.do(
-                    f'4 of 6, runs kept back, {name}', lts + 'train', '--mode=eval_rollout', data,
+                    f'4 of 7, runs kept back, {name}', lts + 'train', '--mode=eval_rollout', data,
                     of, f'--output_path={work.at(name)}',
                 )  # fmt: skip
+        taken = model if is_taken(work) else f'--model_path={first}'
         for number, kind, name, last in (
-            (5, 'c', 'c', 'c/export.json'), (6, 'page', 'page.html', 'page.html'),
+            (5, 'c', 'c', 'c/export.json'), (6, 'fmu', 'fmu', 'fmu/export.json'),
+            (7, 'page', 'page.html', 'page.html'),
         ):  # fmt: skip
             if os.path.exists(work.at(last)):
                 continue
             shutil.rmtree(work.at(name), ignore_errors=True)  # what a killed step left
             try:
                 work.do(
-                    f'{number} of 6, {kind}', lts + 'export', f'--format={kind}', data, model,
+                    f'{number} of 7, {kind}', lts + 'export', f'--format={kind}', data, taken,
                     f'--output_path={work.at(name)}',
                 )  # fmt: skip
             except ValueError:
@@ -227,7 +238,7 @@ def folder_of(model: str) -> str:
 if __name__ == '__main__':
     flags.DEFINE_string('output_path', None, 'Folder of all that is made.', required=True)
     flags.DEFINE_integer('runs', 24, 'Runs of the solver, about two minutes of one core each.', 2)
-    flags.DEFINE_integer('kept', None, 'Of them, kept back to judge; default: a sixth.', 1)
+    flags.DEFINE_integer('kept', None, 'Kept back to judge; as many validate. Default: a sixth.', 1)
     flags.DEFINE_string('initial_weights', None, 'Model to start from; default: the shipped one.')
     flags.DEFINE_integer('num_steps', 2000, 'Training steps of each network.', 1)
     flags.DEFINE_float('learning_rate', 1e-3, 'The first one.')

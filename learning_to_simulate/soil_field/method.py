@@ -30,7 +30,8 @@ _LEARNED = 'metadata.json', 'train.tfrecord', 'heights_train.npz', 'particles_tr
 
 def train(data_path, model_path, config, options) -> dict:
     """Trains a field and leaves its model folder, goes on with it, or finds it done; see
-    `registry.train`. Without valid runs there are no metrics."""
+    `registry.train`. Without valid runs there are no metrics, and nothing that keeps a network of
+    another field that has become worse."""
     if options.rigid_motion:
         raise ValueError(
             'soil_field takes no --rigid_motion: its tool follows a given path, or one that '
@@ -55,9 +56,11 @@ def train(data_path, model_path, config, options) -> dict:
             tool = one_tool(runs + valid, data_path)
             made = training.make_field(config, tool, first=first)
             print(f'{config.preset}: {len(runs)} runs of a {tool}, three networks')
+            # The ranges of a field are those of the runs that come last.
+            held = training.parts_of(made, valid, _bar('valid')) if first and valid else None
             pools = training.parts_of(made, runs, _bar('samples'))
             with StopSignals() as saved.stop:
-                losses = training.fit(made, pools, saved=saved)
+                losses = training.fit(made, pools, saved=saved, held=held)
             if valid:
                 judge = SoilEvaluator(made, under_load=False)
                 results, summary = judge.run(valid, 'valid', _bar('valid'))

@@ -18,6 +18,7 @@ from learning_to_simulate.soil_field.settings import BATCHES, SoilFieldConfig
 from learning_to_simulate.soil_field.tools import TOOLS
 
 CLIP_NORM = 1.0
+ROWS = 2048  # that a loss is computed of at a time
 # How much errors of the six components of a load count: a torque by a lever of 0.1 to 0.3 m.
 COMPONENTS = {'blade': (1, 1, 0.5, 1, 1, 3), 'wheel': (1, 1, 0, 0, 0, 8)}
 # Share of a run's root mean square of force beyond which errors of the load count by their length.
@@ -96,9 +97,14 @@ def _joined(parts):
     )
 
 
-def fit(field: SoilField, pools: dict[str, list], progress=True, saved=None) -> dict:
+def fit(
+    field: SoilField, pools: dict[str, list], progress=True, saved=None, held=None
+) -> dict:
     """Trains all networks on `parts_of`; returns their mean losses over the last tenth. `saved`
     keeps what was trained, see `method.Saved`.
+
+    Where there is `held`, `parts_of` other runs, a network that is no better on them than it was
+    at first gets its first weights back: a few runs of one tool can spoil what many have taught.
 
     Raises:
       ValueError: a loss that is not finite.
@@ -116,12 +122,38 @@ def fit(field: SoilField, pools: dict[str, list], progress=True, saved=None) -> 
         'surface': lambda inputs, _: networks.rise_of(*inputs),
         'soil': lambda inputs, _: networks.displacement_of(*inputs),
     }
-    return {
-        f'loss_{name}': _fit(getattr(networks, name), calls[name], scales[name], name, parts,
-                             config, progress, saved)
-        for name, parts in pools.items()
-        if parts
-    }  # fmt: skip
+    losses = {}
+    for name, parts in pools.items():
+        if not parts:
+            continue
+        part, how = getattr(networks, name), (calls[name], scales[name])
+        first = [value.numpy() for value in part.trainable_variables]
+        others = held[name] if held else []
+        before = loss_of(*how, others)
+        losses[f'loss_{name}'] = _fit(part, *how, name, parts, config, progress, saved)
+        after = loss_of(*how, others)
+        if others:
+            stays = after >= before
+            print(f'{name}: {after / before:.3g} of its first loss on valid runs'
+                  + (', so it stays as it was' if stays else ''))  # fmt: skip
+            if stays:
+                for variable, value in zip(part.trainable_variables, first, strict=True):
+                    variable.assign(value)
+    return losses
+
+
+def loss_of(call, scale, pools) -> float:
+    """The loss (16), (17) of the mean of the members on all rows of some pools; 0 of none."""
+    total, weights = 0.0, 0.0
+    for pool in pools:
+        for start in range(0, len(pool.weight), ROWS):
+            rows = slice(start, start + ROWS)
+            found = call(tuple(x[rows] for x in pool.inputs), pool.target[rows])
+            square = ((tf.reduce_mean(found, axis=0) - pool.target[rows]) * scale).numpy() ** 2
+            square = square.sum(axis=-1) if square.ndim > 1 else square
+            total += float((square * pool.weight[rows]).sum())
+        weights += float(pool.weight.sum(dtype=np.float64))
+    return total / weights if weights else 0.0
 
 
 def _fit(part, call, scale, name, pools, config, progress, saved=None):

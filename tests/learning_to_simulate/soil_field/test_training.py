@@ -71,3 +71,29 @@ def test_a_training_that_starts_from_another_field():
     for other, tool in ((dataclasses.replace(config, members=1), 'blade'), (config, 'wheel')):
         with pytest.raises(ValueError, match='initial weights are of 2 members for a blade'):
             training.make_field(other, tool, first=first)
+
+
+def test_a_network_that_became_worse_on_other_runs_stays_as_it_was(capsys):
+    first, _, pools = worlds.trained()
+    held = {name: parts if name == 'load' else [] for name, parts in pools.items()}
+    wild = dataclasses.replace(worlds.CONFIG, num_steps=3, learning_rate=0.3)
+    field = training.make_field(wild, 'blade', first=first)
+    training.fit(field, pools, progress=False, held=held)
+    assert 'load: ' in (printed := capsys.readouterr().out) and 'stays as it was' in printed
+    for name, same in (('load', True), ('surface', False)):  # nothing was held for the surface
+        now, was = (getattr(f.networks, name).layers[0][0].numpy() for f in (field, first))
+        assert (now == was).all() == same
+    fresh = training.make_field(worlds.CONFIG, 'blade', worlds.SMALL)
+    training.fit(fresh, {'load': pools['load']}, progress=False, held=held)
+    assert 'stays' not in capsys.readouterr().out
+
+
+def test_the_loss_of_the_mean_of_the_members():
+    """Against numpy, on more rows than are computed at a time."""
+    field, _, pools = worlds.trained()
+    part = pools['surface'][0]
+    assert len(part.weight) > training.ROWS
+    rise = field.networks.rise_of(*part.inputs).numpy().mean(axis=0)
+    expected = np.average(((rise - part.target) * 20.0) ** 2, weights=part.weight)
+    found = training.loss_of(lambda x, _: field.networks.rise_of(*x), 20.0, [part])
+    assert found == pytest.approx(expected, rel=1e-4)
