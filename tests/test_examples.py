@@ -82,6 +82,15 @@ def test_wrench_with_z_up_is_that_about_the_centre_of_mass():
     np.testing.assert_allclose(turn.T @ torque, moved, atol=1e-12)
 
 
+def test_lines_of_the_mujoco_page():
+    pytest.importorskip('mujoco')
+    text = (ROOT / 'docs' / 'mujoco.md').read_text(encoding='utf-8')
+    values = {}
+    exec(re.search(r'```python\n(.*?)```', text, re.S)[1], values)
+    assert values['soil'].judgement.status == 'ok'
+    assert values['ground'].heights.min() < 0.249 < 0.25 < values['ground'].heights.max()
+
+
 def test_excavator():
     """The first two seconds: the bucket is in the soil, borne by it and held back."""
     pytest.importorskip('mujoco')

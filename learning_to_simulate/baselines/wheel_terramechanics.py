@@ -78,7 +78,7 @@ class WheelMotion(NamedTuple):
     torque: np.ndarray  # of the soil about the axle, against the turn, N m
 
 
-class _Contact(NamedTuple):
+class Contact(NamedTuple):
     """The bins [S, n] under S wheels in one frame; [S, 1] what is the same for all bins."""
 
     arch: np.ndarray  # height of the rim above its lowest point, m; infinite beyond the rim
@@ -89,6 +89,8 @@ class _Contact(NamedTuple):
     modulus: np.ndarray  # p / z^n, Pa/m^n
     friction: np.ndarray  # that limits the shear stress
     area: np.ndarray  # of a bin, m2
+    window: np.ndarray  # numbers of the bins
+    slip: np.ndarray  # shear displacement j, m
 
     def pressure(self, sinkage, parameters):
         """Normal stress [S, n] (Pa) at sinkages [S] (m) of the lowest points."""
@@ -114,6 +116,76 @@ class _Contact(NamedTuple):
         )
 
 
+class Bed:
+    """Bins along the travel of S wheels, and what the wheels have done to them.
+
+    Args:
+      wheels: S wheels.
+      parameters: of the soil.
+      first, last: [S] least and largest travel of the axles, m.
+      n_bin: bins per radius of travel.
+    """
+
+    def __init__(
+        self, wheels: Wheels, parameters: TerrainParameters, first, last, n_bin: int = 160
+    ):  # fmt: skip
+        self._parameters, self._n_bin = parameters, n_bin
+        self._radius, width, soil_friction, rim_friction, gravity = (
+            np.asarray(x, np.float64)[:, None]
+            for x in (wheels.radius, wheels.width, wheels.soil_friction, wheels.rim_friction,
+                      wheels.gravity)
+        )  # fmt: skip
+        of_angle = (soil_friction / TABLE_FRICTION) ** parameters.friction_exponent
+        of_soil = gravity / EARTH_GRAVITY * of_angle
+        self._modulus = (parameters.k_c / width + parameters.k_phi) * of_soil
+        # The rim slides before the soil shears where it is the smoother of both.
+        self._friction = parameters.friction_factor * np.minimum(soil_friction, rim_friction)
+        self._spacing = self._radius / n_bin  # [S, 1]
+        self._area = width * self._spacing
+        self._start = np.asarray(first)[:, None] - self._radius
+        reach = (np.asarray(last) - first + 2 * self._radius[:, 0]) / self._spacing[:, 0]
+        self._places = self._start + self._spacing * np.arange(int(np.ceil(reach.max())) + 1)
+        self._deepest, self._shear = np.zeros((2, *self._places.shape))  # [S, n]
+        self._last: tuple | None = None
+
+    def contact(self, travel, rolled) -> Contact:
+        """The bins under the wheels after travel [S] and radius times angle turned [S], m; nothing
+        has been sheared before the first one."""
+        travel, rolled = travel[:, None], rolled[:, None]
+        # Only bins under the wheel are looked at: a frame costs the same on every path.
+        first = np.floor((travel - self._radius - self._start) / self._spacing).astype(int)
+        window = first + np.arange(2 * self._n_bin + 2)
+        window = np.clip(window, 0, self._places.shape[1] - 1)
+        ahead = np.take_along_axis(self._places, window, axis=1) - travel
+        sine = np.clip(ahead / self._radius, -_RIM_END, _RIM_END)
+        cosine = np.sqrt(1.0 - sine**2)
+        slip = np.take_along_axis(self._shear, window, axis=1)
+        if self._last is not None:
+            # The rim passes the soil at omega R - v cos(angle).
+            slip = slip + (rolled - self._last[1]) - (travel - self._last[0]) * cosine
+        self._last = travel, rolled
+        return Contact(
+            arch=np.where(np.abs(sine) < _RIM_END, self._radius * (1.0 - cosine), np.inf),
+            sine=sine,
+            cosine=cosine,
+            deepest=np.take_along_axis(self._deepest, window, axis=1),
+            shear=np.sign(slip) * (1.0 - np.exp(-np.abs(slip) / self._parameters.shear_modulus)),
+            modulus=self._modulus,
+            friction=self._friction,
+            area=self._area,
+            window=window,
+            slip=slip,
+        )
+
+    def press(self, contact: Contact, sinkage) -> None:
+        """Keeps what wheels at sinkages [S] (m) have pressed in and sheared."""
+        pressed = contact.pressure(sinkage, self._parameters) > 0
+        reached = np.where(pressed, sinkage[:, None] - contact.arch, 0.0)
+        window = contact.window
+        np.put_along_axis(self._deepest, window, np.maximum(contact.deepest, reached), axis=1)
+        np.put_along_axis(self._shear, window, np.where(pressed, contact.slip, 0.0), axis=1)
+
+
 def drive(
     wheels: Wheels, travel, rolled, parameters: TerrainParameters, n_bin: int = 160
 ) -> WheelMotion:
@@ -129,57 +201,20 @@ def drive(
       parameters: of the soil.
       n_bin: bins per radius of travel.
     """
-    radius, width = (np.asarray(x, np.float64)[:, None] for x in (wheels.radius, wheels.width))
-    soil_friction = np.asarray(wheels.soil_friction, np.float64)[:, None]
-    modulus = (parameters.k_c / width + parameters.k_phi) * (
-        np.asarray(wheels.gravity)[:, None]
-        / EARTH_GRAVITY
-        * (soil_friction / TABLE_FRICTION) ** parameters.friction_exponent
-    )
-    # The rim slides before the soil shears where it is the smoother of both.
-    friction = parameters.friction_factor * np.minimum(
-        soil_friction, np.asarray(wheels.rim_friction)[:, None]
-    )
-    spacing = radius / n_bin  # [S, 1]
-    start = travel.min(axis=1, keepdims=True) - radius
-    count = int(np.ceil(((np.ptp(travel, axis=1) + 2 * radius[:, 0]) / spacing[:, 0]).max())) + 1
-    places = start + spacing * np.arange(count)  # [S, n]
-    deepest, shear = np.zeros_like(places), np.zeros_like(places)
+    bed = Bed(wheels, parameters, travel.min(axis=1), travel.max(axis=1), n_bin)
+    radius = np.asarray(wheels.radius, np.float64)
     loads = np.broadcast_to(np.reshape(wheels.load, (len(travel), -1)), travel.shape)
     rows = []
     for t in range(travel.shape[1]):
-        # Only bins under the wheel are looked at: a frame costs the same on every path.
-        first = np.floor((travel[:, t] - radius[:, 0] - start[:, 0]) / spacing[:, 0])
-        window = np.clip(first.astype(int)[:, None] + np.arange(2 * n_bin + 2), 0, count - 1)
-        ahead = np.take_along_axis(places, window, axis=1) - travel[:, t : t + 1]
-        sine = np.clip(ahead / radius, -_RIM_END, _RIM_END)
-        cosine = np.sqrt(1.0 - sine**2)
-        slip = np.take_along_axis(shear, window, axis=1)
-        if t:
-            # The rim passes the soil at omega R - v cos(angle).
-            turned = rolled[:, t : t + 1] - rolled[:, t - 1 : t]
-            slip = slip + turned - (travel[:, t : t + 1] - travel[:, t - 1 : t]) * cosine
-        contact = _Contact(
-            arch=np.where(np.abs(sine) < _RIM_END, radius * (1.0 - cosine), np.inf),
-            sine=sine,
-            cosine=cosine,
-            deepest=np.take_along_axis(deepest, window, axis=1),
-            shear=np.sign(slip) * (1.0 - np.exp(-np.abs(slip) / parameters.shear_modulus)),
-            modulus=modulus,
-            friction=friction,
-            area=width * spacing,
-        )
-        low, high = np.zeros(len(radius)), radius[:, 0].copy()
+        contact = bed.contact(travel[:, t], rolled[:, t])
+        low, high = np.zeros(len(radius)), radius.copy()
         for _ in range(_BISECTIONS):
             middle = (low + high) / 2
             bears = contact.forces(middle, parameters)[1] >= loads[:, t]
             low, high = np.where(bears, low, middle), np.where(bears, middle, high)
         forward, upward, moment = contact.forces(high, parameters)
-        rows.append((high, forward, upward, radius[:, 0] * moment))
-        pressed = contact.pressure(high, parameters) > 0
-        reached = np.where(pressed, high[:, None] - contact.arch, 0.0)
-        np.put_along_axis(deepest, window, np.maximum(contact.deepest, reached), axis=1)
-        np.put_along_axis(shear, window, np.where(pressed, slip, 0.0), axis=1)
+        rows.append((high, forward, upward, radius * moment))
+        bed.press(contact, high)
     return WheelMotion(*(np.stack(x, axis=1) for x in zip(*rows, strict=True)))
 
 

@@ -1,0 +1,397 @@
+"""Machines in MuJoCo: recorded ones against the solver; where the coupling is stable; its speed.
+
+machines: test runs whose tool was free (all blades of kinds `free` and `actuated`, one wheel under
+its load of each kind), with the recorded mass, springs, dampers and loads, on three grounds: the
+soil field; a spring and damper with friction; a classical formula (earthmoving, or Bekker, Wong and
+Janosi with the damper). Errors are those against the recorded motion. `coupling_mm`: how far the
+same field moves the tool otherwise in `LoadedTool`, which solves the motion in another way: so much
+is of the coupling, the rest of the field.
+stability: a plate that falls by 1 mm and comes to rest, by time step and mass, with implicit and
+explicit coupling.
+speed: simulated seconds to seconds of one core, of the examples at 1 kHz, MuJoCo included.
+
+Examples:
+    python -m reports machines --output_path=docs/machines
+    python -m reports documents docs/mujoco.md     # the tables again, from the JSON
+"""
+
+import importlib.util
+import os
+import sys
+import time
+
+import numpy as np
+from absl import flags
+
+from pca_tools import files
+from reports import command, markdown, record
+
+SUBSTEPS = 16  # of a recorded frame
+# The spring ground: N/m, N s/m, friction.
+STIFFNESS, DAMPING, FRICTION = 1e5, 2e3, 0.3
+SMOOTH = 0.002  # m/s of a motion by which forces against it come in
+END = 30  # frames at the end
+STEPS, MASSES = (0.0005, 0.001, 0.002, 0.004, 0.008, 0.016), (5, 15, 50, 150, 500)
+LINEAR = {'x': '1 0 0', 'z': '0 0 1', 'lean': '0 -1 0'}
+GROUNDS = ('field', 'spring', 'formula')
+MODELS = {'excavation': 'models/excavation/soil_field', 'wheel': 'models/wheel/soil_field'}
+
+
+def machine_xml(run) -> str:
+    """A tool with the mass of a run, and its free coordinates; the others are moved."""
+    machine, pose = run.machine, run.pose[0]
+    joints, actuators = '', ''
+    inertia = max(machine.inertia, 1e-2)
+    for (name, axis), free, k, c in zip(
+        LINEAR.items(), machine.free, machine.stiffness, machine.damping, strict=True
+    ):
+        kind = 'hinge' if name == 'lean' else 'slide'
+        heavy = '' if free else ' armature="1e9"'  # its motion is given
+        joints += f'<joint name="{name}" type="{kind}" axis="{axis}"{heavy}/>'
+        if free and (k or c):
+            actuators += f'<position name="{name}" joint="{name}" kp="{k}" kv="{c}"/>'
+    return f"""<mujoco><option timestep="{run.dt / SUBSTEPS}" integrator="implicitfast"
+      gravity="0 0 -{run.soil.gravity}"/>
+    <worldbody><body name="tool" pos="{pose[0]} {-pose[2]} {pose[1]}" gravcomp="1">{joints}
+      <inertial pos="0 0 0" mass="{machine.mass}" diaginertia="{inertia} {inertia} {inertia}"/>
+    </body></worldbody><actuator>{actuators}</actuator></mujoco>"""
+
+
+def leans(poses) -> np.ndarray:
+    """Angles (rad) about +z of poses [T, 7] that turn about z alone."""
+    return np.unwrap(2.0 * np.arctan2(poses[:, 6], poses[:, 3]))
+
+
+class Simple:
+    """A ground without memory but for what was cut or pressed in: `spring` or `formula`."""
+
+    def __init__(self, name, run, model, data):
+        from learning_to_simulate.baselines import wheel_terramechanics as terramechanics
+
+        self._name, self._run, self._model, self._data = name, run, model, data
+        self._level = float(np.median(run.before().heights))
+        self._area = 0.0
+        self._radius = run.tool.radius if run.tool.name == 'wheel' else 0.0
+        self._start = run.pose[0, 0]
+        self._soil = terramechanics.TerrainParameters()
+        if self._radius:
+            way = self._start - run.pose[:, 0]
+            values = (self._radius, run.tool.width, 0.0, run.soil.gravity, run.soil.friction,
+                      terramechanics.RIM_FRICTION)  # fmt: skip
+            wheels = terramechanics.Wheels(*(np.array([x]) for x in values))
+            # A wheel is moved along its path.
+            self._bed = terramechanics.Bed(
+                wheels, self._soil, way.min(keepdims=True), way.max(keepdims=True), 80
+            )
+        self.force = np.zeros(2)
+
+    def step(self):
+        """One step of MuJoCo with the force of the step before."""
+        import mujoco
+
+        data, run = self._data, self._run
+        x, z, lean = (data.joint(n).qvel[0] for n in LINEAR)
+        depth = self._level - (data.body('tool').xpos[2] - run.tool.radius)
+        if self._name == 'spring':
+            up = max(STIFFNESS * depth - DAMPING * z, 0.0) if depth > 0 else 0.0
+            slides = x + self._radius * lean
+            force = np.array([-FRICTION * up * np.tanh(slides / SMOOTH), up])
+        elif self._radius:
+            turned = self._radius * data.joint('lean').qpos[0]
+            travel = self._start - data.body('tool').xpos[0]
+            contact = self._bed.contact(np.array([travel]), np.array([turned]))
+            forward, up, _ = contact.forces(np.array([depth]), self._soil)
+            self._bed.press(contact, np.array([depth]))
+            damped = max(up[0] - DAMPING * z, 0.0) if up[0] > 0 else 0.0
+            force = np.array([-forward[0], damped])
+        else:
+            self._area += max(depth, 0.0) * max(-x, 0.0) * self._model.opt.timestep
+            force = self._cut(depth, x)
+        data.qfrc_applied[:2] += force
+        mujoco.mj_step(self._model, data)
+        data.qfrc_applied[:2] -= force
+        self.force = force
+
+    def _cut(self, depth, speed):
+        from learning_to_simulate.baselines import earthmoving
+
+        run, friction = self._run, self._run.soil.friction
+        soil = earthmoving.BladeSoil(
+            run.soil.density * run.soil.gravity, float(np.arcsin(min(friction, 0.999))),
+            float(np.arctan(earthmoving.BLADE.friction)), float(np.arctan(friction)),
+            run.tool.width, run.tool.length,
+        )  # fmt: skip
+        angle = self._data.joint('lean').qpos[0]
+        parts = earthmoving.cutting_force(
+            np.array([max(depth, 0.0)]), np.array([np.pi / 2 + angle]), np.array([self._area]), soil
+        )
+        # Of a tool that goes on; one that rests or goes back meets nothing.
+        return parts[0].sum(axis=0) * np.tanh(max(-speed, 0.0) / SMOOTH)
+
+
+def simulate(run, ground: str, field):
+    """The machine of a run on a ground: x and height (m) and force [T, 4] of the frames, infinite
+    of a machine that the field refuses, and the status of a field."""
+    import mujoco
+
+    from learning_to_simulate.mujoco_soil import MujocoSoil
+    from learning_to_simulate.soil_field.stepper import SoilStepper
+
+    model = mujoco.MjModel.from_xml_string(machine_xml(run))
+    data = mujoco.MjData(model)
+    target = np.column_stack([run.machine.target[:, :2], leans(run.machine.target)])
+    first = np.array([*run.pose[0, :2], leans(run.pose[:1])[0]])
+    zero = np.array([*first[:2], 0.0])  # of the joints: in the XML the tool stands upright
+    data.qpos[:] = first - zero
+    target[:, 2] += 2 * np.pi * np.round((first[2] - target[0, 2]) / (2 * np.pi))
+    if ground == 'field':
+        soil = MujocoSoil(model, data, {'tool': SoilStepper(field, run.before(), run.tool)})
+        soil.start()
+    else:
+        soil = Simple(ground, run, model, data)
+        mujoco.mj_forward(model, data)
+    rows = [[*first[:2], *(run.force[0, :2])]]
+    h = model.opt.timestep
+    for t in range(1, len(target)):
+        rate = (target[t] - target[t - 1]) / run.dt
+        load = run.machine.external[t, [0, 1, 5]]
+        for k in range(SUBSTEPS):
+            now = target[t - 1] + rate * h * (k + 1)
+            for i, (name, free) in enumerate(zip(LINEAR, run.machine.free, strict=True)):
+                joint = data.joint(name)
+                if not free:
+                    joint.qpos[0], joint.qvel[0] = now[i] - h * rate[i] - zero[i], rate[i]
+                joint.qfrc_applied[0] = load[i] if free else 0.0
+                if free and run.machine.stiffness[i]:
+                    lead = run.machine.damping[i] / run.machine.stiffness[i] * rate[i]
+                    data.actuator(name).ctrl[0] = now[i] + lead - zero[i]
+            try:
+                soil.step()
+            except ValueError as error:  # it ran away
+                return np.full((len(target), 4), np.inf), f'refused: {error}'
+        force = soil.frames['tool'].force[:2] if ground == 'field' else soil.force
+        rows.append([*(first[:2] + data.qpos[:2]), *force])
+    status = str(soil.judgement.status) if ground == 'field' else None
+    return np.array(rows), status
+
+
+def figures(found, run) -> dict:
+    """What is reported of a motion [T, 4] beside the recorded one; {} of a tool that was refused or
+    that no ground bears, so that it ends a metre away."""
+    true = np.column_stack([run.pose[:, :2], run.force[:, :2]])
+    off = 1e3 * (found - true)[:, :2]
+    if not np.abs(off).max() < 1e3:
+        return {}
+    ends = [np.linalg.norm(rows[-END:, 2:].mean(axis=0)) for rows in (found, true)]
+    return {
+        'rms_mm': float(np.sqrt(np.mean(np.sum(off**2, axis=1)))),
+        'end_mm': float(np.linalg.norm(off[-1])),
+        'end_force_error': float(ends[0] / ends[1] - 1),
+        'force_relative_l2': float(
+            np.linalg.norm((found - true)[6:, 2:]) / np.linalg.norm(true[6:, 2:])
+        ),
+        'drift_mm_s': drift(found, run), 'true_drift_mm_s': drift(true, run),
+        'ripple_mm': ripple(found), 'true_ripple_mm': ripple(true),
+    }  # fmt: skip
+
+
+def drift(rows, run) -> float | None:
+    """mm/s over the last half second; None where the machine itself goes on."""
+    target = np.column_stack([run.machine.target[-END:, :2], leans(run.machine.target[-END:])])
+    if np.ptp(target, axis=0).max() > 1e-6:
+        return None
+    free = np.array(run.machine.free[:2])
+    way = (rows[-1, :2] - rows[-END, :2])[free] / ((END - 1) * run.dt)
+    return float(1e3 * np.linalg.norm(way))
+
+
+def ripple(rows) -> float:
+    """mm about a straight line over the last half second: a limit cycle."""
+    t = np.arange(END) - (END - 1) / 2
+    tail = rows[-END:, :2] - rows[-END:, :2].mean(axis=0)
+    tail = tail - t[:, None] * (t @ tail) / (t @ t)
+    return float(1e3 * np.sqrt(np.mean(np.sum(tail**2, axis=1))))
+
+
+def rest(field, mass: float, dt: float, implicit: bool, seconds: float = 2.0) -> dict:
+    """A plate of 0.4 m on a vertical slide: largest share by which the force leaves the weight in
+    the last half second, drift there (mm/s), sinkage (mm); or why it was refused."""
+    import mujoco
+
+    import learning_to_simulate as lts
+    from learning_to_simulate.mujoco_soil import MujocoSoil
+    from learning_to_simulate.soil_field.stepper import SoilStepper
+
+    tool = lts.Blade(width=0.4)
+    terrain = lts.Terrain.flat((2.0, 1.0), height=0.25)
+    m = mujoco.MjModel.from_xml_string(
+        f'<mujoco><option timestep="{dt}"/><worldbody><body name="tool" pos="1 -.5 .265">'
+        f'<joint type="slide" axis="0 0 1"/><inertial pos="0 0 .1" mass="{mass}" '
+        'diaginertia="1 1 1"/></body></worldbody></mujoco>'
+    )
+    d = mujoco.MjData(m)
+    soil = MujocoSoil(m, d, {'tool': SoilStepper(field, terrain, tool)}, implicit)
+    rows, refused = [], ''
+    try:
+        soil.start()
+        for _ in range(round(seconds / dt)):
+            force = soil.step()['tool'].force[1]
+            rows.append([d.qpos[0], force / (mass * 9.81) - 1])
+    except ValueError as error:
+        refused = str(error)
+    found = {'mass': mass, 'dt': dt, 'implicit': implicit, 'refused': refused}
+    if not refused:
+        tail = np.array(rows)[-round(0.5 / dt) :]
+        found |= {
+            'off_share': float(np.abs(tail[:, 1]).max()),
+            'drift_mm_s': float(1e3 * (tail[-1, 0] - tail[0, 0]) / 0.5),
+            'sinkage_mm': float(-1e3 * rows[-1][0]), 'status': str(soil.judgement.status),
+        }  # fmt: skip
+    return found
+
+
+def speed(name: str) -> float:
+    """Simulated seconds to seconds of one core of an example, from its 2nd to its 5th second."""
+    folder = os.path.join(record.ROOT, 'examples')
+    spec = importlib.util.spec_from_file_location(name, os.path.join(folder, f'{name}.py'))
+    module = importlib.util.module_from_spec(spec)  # type: ignore[arg-type]
+    spec.loader.exec_module(module)  # type: ignore[union-attr]
+    took = []
+    for seconds in (2.0, 5.0):
+        clock = time.process_time()
+        module.main(seconds=seconds)
+        took.append(time.process_time() - clock)
+    return 3.0 / (took[1] - took[0])
+
+
+def table(path: str) -> str:
+    """Blades run by run, and the means of wheels, each on all grounds."""
+    found = files.read_json(path)['machines']
+    wheels = [row for row in found if row['tool'] == 'wheel']
+    lines = [_line(row['case'], [row]) for row in found if row['tool'] != 'wheel']
+    lines.append(_line(f'{len(wheels)} wheels, means', wheels))
+    header = ('run', 'motion, rms mm', 'at the end, mm', 'force at the end, %',
+              'force, rel. L2', 'drift, mm/s', 'ripple, mm')  # fmt: skip
+    return markdown.table(header, lines)
+
+
+def _line(title, rows):
+    def mean(ground, name, scale=1.0):
+        values = [scale * abs(row[ground][name]) for row in rows if row[ground]]
+        return f'{np.mean(values):.2g}' if values else '-'
+
+    def all_of(name, scale=1.0):
+        return ' / '.join(mean(ground, name, scale) for ground in GROUNDS)
+
+    def at_rest(name):
+        found = [row['field'] for row in rows if row['field']]
+        values = [field[name] for field in found if field['drift_mm_s'] is not None]
+        return 'goes on' if not values else f'{max(values):.1g}'
+
+    return (
+        title, all_of('rms_mm'), all_of('end_mm'), all_of('end_force_error', 100),
+        all_of('force_relative_l2'), at_rest('drift_mm_s'), at_rest('ripple_mm'),
+    )  # fmt: skip
+
+
+def coupling_table(path: str) -> str:
+    """How far coupling and `LoadedTool` move one field's tools apart, mm: largest by tool."""
+    rows = files.read_json(path)['machines']
+    tools = sorted({row['tool'] for row in rows})
+    lines = [
+        (t, max(r['coupling_mm'] or 0.0 for r in rows if r['tool'] == t)) for t in tools
+    ]  # fmt: skip
+    return markdown.table(('tool', 'apart, rms mm'), lines)
+
+
+def stability_table(path: str) -> str:
+    """Largest share (%) by which the force leaves the weight, implicit / explicit."""
+    cells = {(c['mass'], c['dt'], c['implicit']): c for c in files.read_json(path)['stability']}
+
+    def share(c):
+        if c['refused']:
+            return 'refused'
+        return '< 0.05' if c['off_share'] < 5e-4 else f'{100 * c["off_share"]:.2g}'
+
+    def cell(mass, dt):
+        return ' / '.join(share(cells[mass, dt, implicit]) for implicit in (True, False))
+
+    lines = [(f'{m} kg', *(cell(m, dt) for dt in STEPS)) for m in MASSES]
+    return markdown.table(('', *(f'{1e3 * dt:g} ms' for dt in STEPS)), lines)
+
+
+def speed_table(path: str) -> str:
+    """Simulated seconds to seconds of one core."""
+    ratios = files.read_json(path)['real_time_ratio']
+    return markdown.table(('example', 'times real time'), list(ratios.items()))
+
+
+def draw(path: str, picture: str) -> None:
+    """The map of stability."""
+    from matplotlib import colors, figure
+
+    drawn = figure.Figure(figsize=(8, 3.2), layout='constrained')
+    cells = {(c['mass'], c['dt'], c['implicit']): c for c in files.read_json(path)['stability']}
+    panels = drawn.subplots(1, 2, sharey=True)
+    for axes, implicit in zip(panels, (True, False), strict=True):
+        off = [[cells[m, dt, implicit].get('off_share', np.inf) for dt in STEPS] for m in MASSES]
+        image = axes.imshow(
+            np.clip(off, 1e-5, 1.0), origin='lower', norm=colors.LogNorm(1e-5, 1.0), cmap='RdYlGn_r'
+        )
+        axes.set_xticks(range(len(STEPS)), [f'{1e3 * dt:g}' for dt in STEPS])
+        axes.set_yticks(range(len(MASSES)), [str(m) for m in MASSES])
+        axes.set(title='implicit' if implicit else 'explicit', xlabel='step, ms')
+    panels[0].set_ylabel('mass, kg')
+    drawn.colorbar(image, ax=panels, label='largest |force / weight - 1|\nin the last 0.5 s')
+    files.write_atomically(picture, lambda name: drawn.savefig(name, format='png', dpi=90))
+
+
+def apart(found, run, evaluator) -> float | None:
+    """mm (root mean square) between a motion [T, 4] and that of `LoadedTool` on the same field;
+    None where that one is refused."""
+    other = np.asarray(evaluator.roll_out(run, under_load=True).pose)[:, :2]
+    off = float(1e3 * np.sqrt(np.mean(np.sum((found[:, :2] - other) ** 2, axis=1))))
+    return off if np.isfinite(off) else None
+
+
+def define_flags() -> None:
+    """Defines the flags of the command."""
+    flags.DEFINE_string('output_path', None, 'Path of .json and .png, without it.', required=True)
+
+
+def main(values, _) -> None:
+    """Runs the command."""
+    from learning_to_simulate.soil_field import evaluation, method, runs
+
+    machines, fields = [], {name: method.load(path) for name, path in MODELS.items()}
+    for name, field in fields.items():
+        evaluator, kinds = evaluation.SoilEvaluator(field), set()
+        for run in runs.read(f'datasets/{name}', 'test'):
+            if run.machine is None or (run.tool.name == 'wheel' and run.kind in kinds):
+                continue
+            kinds.add(run.kind)
+            row = {'case': run.case, 'tool': run.tool.name, 'kind': run.kind}
+            for ground in GROUNDS:
+                found, status = simulate(run, ground, field)
+                row[ground] = figures(found, run)
+                if ground == 'field':
+                    off = apart(found, run, evaluator) if row[ground] else None
+                    row |= {'status': status, 'coupling_mm': off}
+            machines.append(row)
+            print(row['case'], [row[g].get('rms_mm') for g in GROUNDS], file=sys.stderr)
+    path = f'{values.output_path}.json'
+    files.write_json(path, {
+        **record.provenance(1), 'machines': machines,
+        'stability': [
+            rest(fields['excavation'], mass, dt, implicit)
+            for mass in MASSES for dt in STEPS for implicit in (True, False)
+        ],
+        'real_time_ratio': {name: speed(name) for name in ('excavator', 'rover')},
+    })  # fmt: skip
+    draw(path, f'{values.output_path}.png')
+    for made in (table, coupling_table, stability_table, speed_table):
+        print(made(path))
+
+
+if __name__ == '__main__':
+    command.start(define_flags, main)
