@@ -159,9 +159,9 @@ def make_wheel(
     return Body(np.zeros((1, 2)), radius, width / 2.0, friction, *bars, points=np.array(points))
 
 
-def make_ball(diameter: float, friction: float = BLADE_FRICTION) -> Body:
+def make_ball(diameter: float) -> Body:
     """Builds a ball; its middle is the reference point and the only sample point."""
-    return Body(np.zeros((1, 2)), diameter / 2.0, 0.0, friction, points=np.zeros((1, 3)))
+    return Body(np.zeros((1, 2)), diameter / 2.0, 0.0, BLADE_FRICTION, points=np.zeros((1, 3)))
 
 
 def wheel_edges() -> tuple:

@@ -57,8 +57,8 @@ def show_matrix(axis, matrix, names):
     return shown
 
 
-def new_figure(columns: int, rows: int = 1):
-    """A figure of panels of one matrix each; returns (figure, axes [rows, columns]).
+def new_figure(columns: int):
+    """A figure of panels of one matrix each; returns (figure, axes [1, columns]).
 
     Raises:
       ValueError: matplotlib is missing; it is an optional part of the installation.
@@ -69,8 +69,8 @@ def new_figure(columns: int, rows: int = 1):
         raise ValueError(
             'pictures need matplotlib: pip install -c constraints.txt -e .[viz]'
         ) from error
-    figure = Figure(figsize=(4.2 * columns, 4.7 * rows), layout='constrained')
-    return figure, figure.subplots(rows, columns, squeeze=False)
+    figure = Figure(figsize=(4.2 * columns, 4.7), layout='constrained')
+    return figure, figure.subplots(1, columns, squeeze=False)
 
 
 def save(path: str, figure) -> None:

@@ -20,6 +20,7 @@ from pca_tools import files
 CONFIG_FILE, WEIGHTS_FILE = 'config.json', 'weights.npz'
 SCHEMA_VERSION = 1
 MAX_FEATURES = 100
+BATCH = 500  # windows at a time
 
 
 class NriModel(snt.Module):
@@ -163,13 +164,13 @@ class NriModel(snt.Module):
         )
         return (total / count).astype(np.float32)
 
-    def window_probabilities(self, windows, batch_size: int = 500) -> np.ndarray:
+    def window_probabilities(self, windows) -> np.ndarray:
         """Posterior of single windows: [S, V, window, F] -> float32 [S, V (V - 1), K]."""
         parts = []
-        for first in range(0, len(windows), batch_size):
-            batch = windows[first : first + batch_size]
+        for first in range(0, len(windows), BATCH):
+            batch = windows[first : first + BATCH]
             # A short last batch is filled up, so that nothing is compiled for it.
-            filled = np.resize(batch, (min(batch_size, len(windows)), *batch.shape[1:]))
+            filled = np.resize(batch, (min(BATCH, len(windows)), *batch.shape[1:]))
             parts.append(self._probabilities(tf.constant(filled))[: len(batch)].numpy())
         return np.concatenate(parts)
 

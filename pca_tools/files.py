@@ -80,31 +80,28 @@ def write_npz(path: str, **arrays: Any) -> None:
     write_atomically(path, write)
 
 
-def read_npz(
-    path: str, max_bytes: int = MAX_BYTES, only: Sequence[str] | None = None
-) -> dict[str, np.ndarray]:
+def read_npz(path: str, only: Sequence[str] | None = None) -> dict[str, np.ndarray]:
     """Reads the arrays of a `.npz` file, without pickles and never more than the headers promise.
 
     Args:
         path: the file.
-        max_bytes: a file whose arrays unpack to more together is refused before it is unpacked.
         only: names of the arrays to read, those of them that are there; None for all.
 
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: git-lfs pointer, not a zip file, truncated, damaged, an object array, more bytes
-            than the limit, or a member whose header disagrees with its size.
+        ValueError: git-lfs pointer, not a zip file, truncated, damaged, an object array, arrays of
+            more than `MAX_BYTES` together, or a member whose header disagrees with its size.
     """
     arrays: dict[str, np.ndarray] = {}
-    with opened_npz(path, max_bytes) as members:
+    with opened_npz(path) as members:
         for name, file, size in members:
             if only is None or name in only:
-                arrays[name] = _read_array(file, size, max_bytes)
+                arrays[name] = _read_array(file, size)
     return arrays
 
 
 @contextlib.contextmanager
-def opened_npz(path: str, max_bytes: int) -> Iterator[Iterator[tuple[str, Any, int]]]:
+def opened_npz(path: str) -> Iterator[Iterator[tuple[str, Any, int]]]:
     """Opens a `.npz` file: (name, open file, size in bytes) of every array.
 
     Whatever is raised meanwhile, and all that is wrong with the archive, becomes a ValueError with
@@ -129,8 +126,8 @@ def opened_npz(path: str, max_bytes: int) -> Iterator[Iterator[tuple[str, Any, i
         with zipfile.ZipFile(path) as archive:
             _refuse_lost_members(path, archive)
             total = sum(member.file_size for member in archive.infolist())
-            if total > max_bytes:
-                raise ValueError(f'unpacks to {total} bytes, more than the limit of {max_bytes}')
+            if total > MAX_BYTES:
+                raise ValueError(f'unpacks to {total} bytes, more than the limit of {MAX_BYTES}')
             yield members(archive)
     except Exception as error:  # a damaged archive fails in many ways, none of which is ours
         raise ValueError(
@@ -156,8 +153,8 @@ def _refuse_lost_members(path: str, archive: zipfile.ZipFile) -> None:
         raise ValueError(f'its directory lists {found} members, its end says {stated}')
 
 
-def read_npy(path: str, max_bytes: int = MAX_BYTES) -> np.ndarray:
-    """Reads a `.npy` file of at most `max_bytes`, without pickles and never more than it holds.
+def read_npy(path: str) -> np.ndarray:
+    """Reads a `.npy` file of at most `MAX_BYTES`, without pickles and never more than it holds.
 
     Raises:
         FileNotFoundError: there is no such file.
@@ -167,10 +164,10 @@ def read_npy(path: str, max_bytes: int = MAX_BYTES) -> np.ndarray:
     refuse_git_lfs_pointer(path)
     size = os.path.getsize(path)
     try:
-        if size > max_bytes:
-            raise ValueError(f'has {size} bytes, more than the limit of {max_bytes}')
+        if size > MAX_BYTES:
+            raise ValueError(f'has {size} bytes, more than the limit of {MAX_BYTES}')
         with open(path, 'rb') as file:
-            return _read_array(file, size, max_bytes)
+            return _read_array(file, size)
     except Exception as error:  # as in read_npz
         raise ValueError(f'{path}: is not a plain .npy array ({_reason(error)})') from error
 
@@ -194,7 +191,7 @@ def read_npy_header(file: Any) -> tuple[tuple[int, ...], bool, np.dtype]:
     raise ValueError(f'.npy format {version} is not read')
 
 
-def _read_array(file: Any, size: int, max_bytes: int) -> np.ndarray:
+def _read_array(file: Any, size: int) -> np.ndarray:
     """Reads one array after holding its header (shape x item size) against its `size` in bytes."""
     shape, fortran_order, dtype = read_npy_header(file)
     if dtype.hasobject:
@@ -204,8 +201,8 @@ def _read_array(file: Any, size: int, max_bytes: int) -> np.ndarray:
         raise ValueError(
             f'its header says {shape} x {dtype} = {promised} bytes but it holds {held}'
         )
-    if held > max_bytes:
-        raise ValueError(f'its header says {held} bytes, more than the limit of {max_bytes}')
+    if held > MAX_BYTES:
+        raise ValueError(f'its header says {held} bytes, more than the limit of {MAX_BYTES}')
     data = file.read(held + 1)  # one more, for the end: an archive checks its checksum there
     if len(data) != held:
         raise ValueError(f'it holds {len(data)} bytes, {held} were expected')

@@ -317,15 +317,14 @@ def _check_motion(found: Inspection) -> Findings:
         yield WARN, f'{forceless} runs have no force at any frame'
 
 
-def rigid_misfit(run: Trajectory, points: Sequence[int] = (), frames: int = 9) -> float:
+def rigid_misfit(run: Trajectory, points: Sequence[int] = ()) -> float:
     """Returns the largest RMS misfit in metres of a rigid motion from frame 0 to some others.
 
     Args:
         run: the run.
         points: how many points each of several bodies has; none for one body.
-        frames: how many later frames are looked at.
     """
-    later = np.unique(np.linspace(0, run.n_frames - 1, frames).astype(int))
+    later = np.unique(np.linspace(0, run.n_frames - 1, 9).astype(int))
     bodies = np.split(run.position[:, : run.n_rigid], np.cumsum(points, dtype=int)[:-1], axis=1)
     misfits = (
         rigid_fit.fit_rigid_motion(body[0], body[frame]).residual

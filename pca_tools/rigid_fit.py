@@ -7,46 +7,24 @@ reflection.
 
 from __future__ import annotations
 
-import dataclasses
-import enum
+from typing import NamedTuple
 
 import numpy as np
 
-# A point set is taken for a line or a point when its extent across is below this many roundings of
-# its coordinates.
-_ROUNDINGS = 16.0
-# Misfit over extent above which an improper best fit is called a mirrored input and not noise on a
-# flat body.
-_REFLECTED_MISFIT = 0.1
 MIN_POINTS = 3
 
 
-class RigidFitStatus(enum.Enum):
-    """What the fit can be trusted for."""
-
-    OK = 'ok'
-    # Points on a line: the turn about that line is undefined, the smallest rotation is returned.
-    RANK_1 = 'rank_1'
-    # Points coincide: the rotation is undefined, the identity is returned.
-    RANK_0 = 'rank_0'
-    # The target is a mirror image of the source: the best rotation is returned but fits badly.
-    REFLECTED = 'reflected'
-
-
-@dataclasses.dataclass(frozen=True)
-class RigidMotion:
+class RigidMotion(NamedTuple):
     """Rigid motion `x -> rotation @ x + translation`.
 
     Attributes:
         rotation: float64 [3, 3], always proper (determinant +1).
         translation: float64 [3], metres.
-        status: what the fit can be trusted for.
         residual: root mean square distance in metres between moved source and target points.
     """
 
     rotation: np.ndarray
     translation: np.ndarray
-    status: RigidFitStatus
     residual: float
 
     def apply(self, points: np.ndarray) -> np.ndarray:
@@ -58,16 +36,12 @@ def fit_rigid_motion(source: np.ndarray, target: np.ndarray) -> RigidMotion:
     """Finds the rigid motion of `source` onto `target` with least squared distance.
 
     Args:
-        source: [R, 3] points in metres, R >= 3.
+        source: [R, 3] points in metres, R >= 3. Where they lie on a line, the turn about it is any.
         target: [R, 3] the same points after the motion.
-
-    Returns:
-        The motion; look at its `status` before trusting the rotation.
 
     Raises:
         ValueError: shapes differ or are not [R, 3], fewer than 3 points, or NaN.
     """
-    rounding = max(_epsilon(source), _epsilon(target))
     source, target = np.asarray(source, np.float64), np.asarray(target, np.float64)
     if source.shape != target.shape or source.ndim != 2 or source.shape[1] != 3:
         raise ValueError(f'source {source.shape} and target {target.shape} must both be [R, 3]')
@@ -83,25 +57,12 @@ def fit_rigid_motion(source: np.ndarray, target: np.ndarray) -> RigidMotion:
             )
     source_mean, target_mean = source.mean(axis=0), target.mean(axis=0)
     centred_source, centred_target = source - source_mean, target - target_mean
-    rank = min(
-        _rank(centred_source, rounding * np.abs(source).max()),
-        _rank(centred_target, rounding * np.abs(target).max()),
-    )
     left, _, right = np.linalg.svd(centred_source.T @ centred_target)
-    improper = np.linalg.det(left @ right) < 0
-    if rank == 0:
-        status, rotation = RigidFitStatus.RANK_0, np.eye(3)
-    elif rank == 1:
-        status, rotation = RigidFitStatus.RANK_1, _smallest_rotation(left[:, 0], right[0])
-    else:
-        status = RigidFitStatus.OK
-        rotation = right.T @ np.diag([1.0, 1.0, -1.0 if improper else 1.0]) @ left.T
+    proper = 1.0 if np.linalg.det(left @ right) >= 0 else -1.0
+    rotation = right.T @ np.diag([1.0, 1.0, proper]) @ left.T
     misfit = centred_source @ rotation.T - centred_target
     residual = float(np.sqrt(np.mean(np.sum(misfit**2, axis=1))))
-    extent = float(np.sqrt(np.mean(np.sum(centred_source**2, axis=1))))
-    if status is RigidFitStatus.OK and improper and residual > _REFLECTED_MISFIT * extent:
-        status = RigidFitStatus.REFLECTED
-    return RigidMotion(rotation, target_mean - rotation @ source_mean, status, residual)
+    return RigidMotion(rotation, target_mean - rotation @ source_mean, residual)
 
 
 def placed(shape: np.ndarray, poses: np.ndarray) -> np.ndarray:
@@ -132,31 +93,3 @@ def _turned(points: np.ndarray, quaternions: np.ndarray) -> np.ndarray:
     w, u = unit[..., :1], unit[..., 1:]
     across = np.cross(u, points)
     return points + 2.0 * w * across + 2.0 * np.cross(u, across)
-
-
-def _epsilon(points: np.ndarray) -> float:
-    """Returns the relative rounding of the given numbers: that of float32 for float32 input."""
-    dtype = np.asarray(points).dtype
-    return float(np.finfo(dtype if np.issubdtype(dtype, np.floating) else np.float64).eps)
-
-
-def _rank(centred: np.ndarray, rounding: float) -> int:
-    """Returns 0 for coincident points, 1 for points on a line, 2 for all others."""
-    values = np.linalg.svd(centred, compute_uv=False)[:2] / np.sqrt(len(centred))
-    return int(np.count_nonzero(values > _ROUNDINGS * max(rounding, np.finfo(np.float64).tiny)))
-
-
-def _smallest_rotation(start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """Returns the smallest rotation [3, 3] that turns unit vector `start` into `end`.
-
-    Half a turn about `start`, then half a turn about the middle of both: orthonormal to round-off
-    for opposite vectors too.
-    """
-    middle = start + end
-    if middle @ middle < 1e-12:  # every perpendicular axis is as good; take a fixed one
-        middle = np.cross(start, np.eye(3)[np.argmin(np.abs(start))])
-    return _half_turn(middle) @ _half_turn(start)
-
-
-def _half_turn(axis: np.ndarray) -> np.ndarray:
-    return 2.0 * np.outer(axis, axis) / (axis @ axis) - np.eye(3)

@@ -49,23 +49,22 @@ def mean_share(shares: Sequence[float], weights: Sequence[float]) -> float:
     return float(np.dot(shares, weights)) / total if total > 0 else 1.0
 
 
-def trivial_errors(trajectory: Trajectory, n_soil: int, history: int = HISTORY) -> dict[str, float]:
+def trivial_errors(trajectory: Trajectory, n_soil: int) -> dict[str, float]:
     """Measures the predictors that need no model, on the soil, inside the subspace.
 
     Args:
-        trajectory: one run of more than `history` frames.
+        trajectory: one run of more than `HISTORY` frames.
         n_soil: N; W is orthonormal, so squared score errors / (3 N) are mean squared particle
             errors.
-        history: H, frames before the first prediction.
 
     Returns:
         `stay_still` and `constant_velocity` mean squared errors in m^2, mean over the predicted
         frames.
     """
     scores = trajectory.position[:, trajectory.n_rigid :].astype(np.float64)
-    last, truth = scores[history - 1], scores[history:]
+    last, truth = scores[HISTORY - 1], scores[HISTORY:]
     steps = np.arange(1, len(truth) + 1)[:, None, None]
-    velocity = last - scores[history - 2]
+    velocity = last - scores[HISTORY - 2]
     return {
         name: float(np.mean(np.sum((prediction - truth) ** 2, axis=(1, 2))) / (3 * n_soil))
         for name, prediction in (

@@ -98,9 +98,9 @@ class Subspace:
         kept = np.concatenate([[0.0], np.cumsum(self.singular_values**2)])
         return np.maximum(self.total_energy - kept, 0.0) / (self.n_rows * self.n_soil)
 
-    def projection_floor(self, n_modes: int | None = None) -> float:
-        """Mean squared error in m^2 that `n_modes` modes (default r) leave; see the plural."""
-        return float(self.projection_floors[self.n_modes if n_modes is None else n_modes])
+    def projection_floor(self) -> float:
+        """Mean squared error in m^2 that the r modes leave; see the plural."""
+        return float(self.projection_floors[self.n_modes])
 
     def truncated(self, n_modes: int) -> Subspace:
         """Returns the subspace of the first `n_modes` of its modes."""

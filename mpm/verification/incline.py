@@ -104,16 +104,16 @@ class Incline:
         period: [2], along x and z, m.
     """
 
-    def __init__(self, box: Bin, soil: Soil, exchange: float = EXCHANGE):
-        """Settles the layer of a bin (`layer_bin`); `exchange` is its interval, s."""
+    def __init__(self, box: Bin, soil: Soil):
+        """Settles the layer of a bin (`layer_bin`)."""
         walls = (-NO_WALL, NO_WALL, PAD, -NO_WALL, NO_WALL, 0)
         self.grid: Grid = make_grid(box)._replace(walls=walls)
-        self.soil, self.depth, self._exchange = soil, box.size[1], exchange
+        self.soil, self.depth = soil, box.size[1]
         self.period = np.array([box.size[0], box.size[2]])
         self._cells = np.round(self.period / box.dx).astype(int)
         self._volume = packing.particle_volume(box)
-        self._steps = steps_in(exchange, soil, box.dx)
-        self._dt = exchange / self._steps
+        self._steps = steps_in(EXCHANGE, soil, box.dx)
+        self._dt = EXCHANGE / self._steps
         self._nodes = make_nodes(self.grid, np.float32)
         self.particles = packing.lattice(box, seed=0)
         self.advance(SETTLE_S, 0.0, settling=1.0 - SETTLE_DAMPING * self._dt)
@@ -185,9 +185,9 @@ class Incline:
         """
         angle = math.radians(angle_deg)
         along, down = EARTH_GRAVITY * math.sin(angle), EARTH_GRAVITY * math.cos(angle)
-        for _ in tqdm(range(math.ceil(seconds / self._exchange - 1e-9)), leave=False):
+        for _ in tqdm(range(math.ceil(seconds / EXCHANGE - 1e-9)), leave=False):
             self._interval(along, down, settling)
-            fastest = np.abs(self.particles[:, columns.V]).max() * self._exchange / self.grid.dx
+            fastest = np.abs(self.particles[:, columns.V]).max() * EXCHANGE / self.grid.dx
             if not fastest < VELOCITY_CFL:
                 raise ValueError(f'soil crosses {fastest:.2g} cells between two exchanges')
             on_interval()
@@ -200,22 +200,19 @@ class Incline:
         self.particles[:, columns.C + 1] = (above - at) / step
 
 
-def bagnold(
-    per_cell: float, start: float, end: float, exchange: float = EXCHANGE
-) -> dict[str, float]:
+def bagnold(per_cell: float, start: float, end: float) -> dict[str, float]:
     """Lets beads flow that begin at the closed form's speed; looks at them from `start` to `end` s.
 
     Args:
         per_cell: see `layer_bin`.
         start, end: s.
-        exchange: see `Incline`, s.
 
     Returns:
         Against the closed form at the same particles: `surface`, the speed of the uppermost of
         `LAYERS` over it; `profile`, the RMS difference of all layers over its speed at the surface;
         and `depth`, twice the mean height of the soil over the depth as packed.
     """
-    layer = Incline(layer_bin(per_cell), beads(), exchange)
+    layer = Incline(layer_bin(per_cell), beads())
     sums = np.zeros((4, LAYERS))
 
     def closed(height):

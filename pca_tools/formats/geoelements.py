@@ -46,7 +46,7 @@ def read_trajectories(path: str) -> list[Any]:
         ValueError: it is damaged, too large, or holds anything but numpy arrays.
     """
     held = {}
-    with files.opened_npz(path, files.MAX_BYTES) as members:
+    with files.opened_npz(path) as members:
         for name, file, _ in members:
             shape, _, dtype = files.read_npy_header(file)
             if not dtype.hasobject:

@@ -39,12 +39,12 @@ OF_KINDS = (
 )  # fmt: skip
 
 
-def methods(path: str, kind: str = 'all') -> str:
-    """All methods over the runs of a kind: mean errors (medians of parts of a load, and where one
+def methods(path: str) -> str:
+    """All methods over all runs: mean errors (medians of parts of a load, and where one
     was refused), lowest to highest over trainings; of soil and force also medians, and wins over
     persistence; below them the truth's own errors."""
     document = judge.read(path)
-    summary, columns = document['summary'][kind], COLUMNS[document['scene']]
+    summary, columns = document['summary']['all'], COLUMNS[document['scene']]
     count = sum(not run['data'] for run in document['runs'])
     rows = []
     for method in document['methods']:
@@ -56,7 +56,7 @@ def methods(path: str, kind: str = 'all') -> str:
         refused = sum(len(s['errors'].get('refused', ())) for s in method['seeds'])
         about = ', '.join(
             [f'{seeds} trainings'] * (seeds > 1)
-            + [f'{runs} runs'] * (kind == 'all' and runs < count)
+            + [f'{runs} runs'] * (runs < count)
             + [f'{refused} refused'] * bool(refused)
         )
         cells = [_cell(found.get(key), key) for key in columns]
@@ -64,16 +64,15 @@ def methods(path: str, kind: str = 'all') -> str:
         medians = [figure and markdown.span(figure['median']) for figure in both]
         wins = [_wins(figure, method) for figure in both]
         rows.append([method['name'] + (f' ({about})' if about else ''), *cells, *medians, *wins])
-    if kind == 'all':
-        own = document['truth']
-        cells = [
-            markdown.cell(float((np.median if k in MEDIANS else np.mean)(own[k])))
-            if k in own else '' for k in columns
-        ]  # fmt: skip
-        # Of the whole bed; near the tool it is larger.
-        whole = markdown.cell(float(np.mean(own['surface_mm'])))
-        cells[columns.index('near_mm')] = f'over {whole}'
-        rows.append([f"*truth's own error* ({len(own['cases'])} cases)", *cells, *4 * ['']])
+    own = document['truth']
+    cells = [
+        markdown.cell(float((np.median if k in MEDIANS else np.mean)(own[k])))
+        if k in own else '' for k in columns
+    ]  # fmt: skip
+    # Of the whole bed; near the tool it is larger.
+    whole = markdown.cell(float(np.mean(own['surface_mm'])))
+    cells[columns.index('near_mm')] = f'over {whole}'
+    rows.append([f"*truth's own error* ({len(own['cases'])} cases)", *cells, *4 * ['']])
     header = ['method', *(TITLES[key] for key in columns), 'medians: soil', 'force']
     header += ['wins: soil', 'force']
     return markdown.table(header, rows)
