@@ -19,6 +19,7 @@ import importlib.util
 import os
 import sys
 import time
+from typing import Any
 
 import numpy as np
 from absl import flags
@@ -145,7 +146,7 @@ def simulate(run, ground: str, field):
     data.qpos[:] = first - zero
     target[:, 2] += 2 * np.pi * np.round((first[2] - target[0, 2]) / (2 * np.pi))
     if ground == 'field':
-        soil = MujocoSoil(model, data, {'tool': SoilStepper(field, run.before(), run.tool)})
+        soil: Any = MujocoSoil(model, data, {'tool': SoilStepper(field, run.before(), run.tool)})
         soil.start()
     else:
         soil = Simple(ground, run, model, data)
@@ -370,7 +371,7 @@ def main(values, _) -> None:
             if run.machine is None or (run.tool.name == 'wheel' and run.kind in kinds):
                 continue
             kinds.add(run.kind)
-            row = {'case': run.case, 'tool': run.tool.name, 'kind': run.kind}
+            row: dict = {'case': run.case, 'tool': run.tool.name, 'kind': run.kind}
             for ground in GROUNDS:
                 found, status = simulate(run, ground, field)
                 row[ground] = figures(found, run)
