@@ -13,6 +13,7 @@ REPORTS = {
     'protocol': ('protocol', 'methods judged run by run, against baselines and the truth'),
     'times': ('times', 'error against run time: table, picture'),
     'machines': ('machines', 'recorded machines in MuJoCo against the solver; stability, speed'),
+    'stability': ('stability', 'extreme cases: what holds, is flagged, is refused'),
     'soil_fits': ('soil_fits', 'how well `lts fit-soil` finds known soils'),
     'explain': ('explain', 'what a rollout leaves out: edges, MFLOP, time'),
     'edges': ('edges.edge_ablation', 'what edges between modes are worth'),
