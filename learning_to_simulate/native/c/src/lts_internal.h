@@ -87,7 +87,7 @@ int lts_check_start(lts_instance *soil, int frame, const double *nodes);
 int lts_check_given(lts_instance *soil, int frame, const double *before, const double *points);
 int lts_check_predicted(lts_instance *soil, int frame);
 
-/* lts_step.c: mean height of the points of a driven body, which is not given, over those of `from` or
+/* Mean height of the points of a driven body, which is not given, over those of `from` or
  * over 0; 0 of other bodies. */
 double lts_ungiven_height(const lts_model *model, const double *points, const double *from);
 

@@ -4,6 +4,27 @@
 
 #include "lts_internal.h"
 
+int lts_check(const lts_instance *soil) {
+  if (!soil) return LTS_ERROR_NULL;
+  if ((uintptr_t)soil % LTS_ALIGNMENT || soil->magic != LTS_MAGIC) return LTS_ERROR_MEMORY;
+  return LTS_OK;
+}
+
+int lts_check_started(const lts_instance *soil) {
+  LTS_TRY(lts_check(soil));
+  return soil->state.head->started ? LTS_OK : LTS_ERROR_CALL;
+}
+
+double lts_ungiven_height(const lts_model *m, const double *points, const double *from) {
+  double height = 0.0;
+  if (m->motion != LTS_DRIVEN) return 0.0;
+  for (int i = 0; i < m->n_rigid; ++i) {
+    const int k = 3 * i + m->up_axis;
+    height += (points[k] - (from ? from[k] : 0.0)) / m->n_rigid;
+  }
+  return height;
+}
+
 /* Keeps the first judgement of a kind, LTS_WORSE_..., and returns its bit. */
 static int note(lts_instance *soil, int kind, lts_judgement found) {
   lts_judgement *worst = &soil->state.head->worst[kind];

@@ -11,16 +11,6 @@ int lts_prepare(lts_instance *soil) {
   return LTS_OK;
 }
 
-double lts_ungiven_height(const lts_model *m, const double *points, const double *from) {
-  double height = 0.0;
-  if (m->motion != LTS_DRIVEN) return 0.0;
-  for (int i = 0; i < m->n_rigid; ++i) {
-    const int k = 3 * i + m->up_axis;
-    height += (points[k] - (from ? from[k] : 0.0)) / m->n_rigid;
-  }
-  return height;
-}
-
 /* Displacement of the given points in the coming frame, and its RMS over the training mean. */
 static void take_motion(lts_instance *soil, const double *points) {
   const lts_model *m = soil->model;
