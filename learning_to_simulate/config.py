@@ -217,22 +217,19 @@ class FullSpaceConfig(Training):
 
 
 @dataclasses.dataclass(frozen=True)
-class OpenLoopConfig(Settings):
-    """What a baseline is that feeds nothing back.
+class PathRidgeConfig(Settings):
+    """What a regression on the path is.
 
     Attributes:
       preset: name of the preset the config started from.
-      model: the method, a name of `registry`.
-      max_samples: frames of training that a kernel ridge is fitted to, spread over all runs.
-      leave_one_out: whether a kernel ridge is fitted to train and valid together, chosen by each of
-        their runs, judging what the others give, and averaged over the ten best with each kernel:
-        for data of a dozen runs.
-      fitted: whether the formula's parameters are fitted to the training runs; else they are the
-        soil's own.
+      model: path_ridge.
+      max_samples: frames of training that it is fitted to, spread over all runs.
+      leave_one_out: whether it is fitted to train and valid together, chosen by each of their runs,
+        judging what the others give, and averaged over the ten best with each kernel: for data of
+        a dozen runs.
     """
 
     preset: str
-    model: str
+    model: str = 'path_ridge'
     max_samples: int = number(3000, 1, 20_000)
     leave_one_out: bool = False
-    fitted: bool = False

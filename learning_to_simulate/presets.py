@@ -9,7 +9,7 @@ from typing import Any
 from learning_to_simulate.config import (
     GRAPH_NETWORK,
     FullSpaceConfig,
-    OpenLoopConfig,
+    PathRidgeConfig,
     TrainConfig,
 )
 from learning_to_simulate.soil_field import settings as soil_field_settings
@@ -87,19 +87,14 @@ _OF_NETWORKS = {
         decay_steps=2500.0,
     ),
 }
-# Baselines without dynamics: regression on the path, and formulas as they are or fitted.
-OPEN_LOOP = {
-    name: OpenLoopConfig(name, model, **options)
-    for name, model, options in (
-        ('path_ridge', 'path_ridge', {}),
-        ('path_ridge_few_runs', 'path_ridge', {'max_samples': 1500, 'leave_one_out': True}),
-        ('earthmoving', 'earthmoving', {}),
-        ('earthmoving_fitted', 'earthmoving', {'fitted': True}),
-        ('bekker_wong_janosi', 'bekker_wong_janosi', {}),
-        ('bekker_wong_janosi_fitted', 'bekker_wong_janosi', {'fitted': True}),
-    )
+# A baseline without dynamics: regression on the path.
+_RIDGES = {
+    'path_ridge': PathRidgeConfig('path_ridge'),
+    'path_ridge_few_runs': PathRidgeConfig(
+        'path_ridge_few_runs', max_samples=1500, leave_one_out=True
+    ),
 }
-PRESETS: dict[str, Any] = _OF_NETWORKS | soil_field_settings.PRESETS | OPEN_LOOP
+PRESETS: dict[str, Any] = _OF_NETWORKS | soil_field_settings.PRESETS | _RIDGES
 
 
 def preset_of_model(model: str | None) -> str:

@@ -73,7 +73,6 @@ class TrainOptions:
 
 
 _SUBSPACE = 'learning_to_simulate.subspace.method'
-_OPEN_LOOP = 'learning_to_simulate.baselines.method'
 METHODS = {
     'gns': Method('graph network on modes and body (Usmani & Skonieczny 2023)', _SUBSPACE),
     'mlp': Method('plain MLP on the subspace state (Holden et al. 2019)', _SUBSPACE),
@@ -91,13 +90,9 @@ METHODS = {
         'learning_to_simulate.soil_field.method',
         on_terrain=True,
     ),
-    'path_ridge': Method('kernel ridge on the path so far, no dynamics: a baseline', _OPEN_LOOP),
-    'earthmoving': Method(
-        "a blade's force by the equation of earthmoving (Reece 1965, McKyes 1985): a baseline",
-        _OPEN_LOOP,
-    ),
-    'bekker_wong_janosi': Method(
-        "a wheel's sinkage and force as in the Soil Contact Model: a baseline", _OPEN_LOOP
+    'path_ridge': Method(
+        'kernel ridge on the path so far, no dynamics: a baseline',
+        'learning_to_simulate.baselines.method',
     ),
 }
 

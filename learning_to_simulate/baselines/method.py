@@ -1,14 +1,13 @@
-"""The open-loop methods on disk: fit, model folder, rollouts; see `registry`.
+"""The regression on the path on disk: fit, model folder, rollouts; see `registry`.
 
 A model folder holds `config.json` (settings, scene, ranges of training, digests of the data, and
-the parameters of the method) and, of a regression, its arrays.
+the parameters of the regression) and its arrays.
 """
 
 import dataclasses
 import os
 import time
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import tqdm
@@ -24,10 +23,9 @@ from learning_to_simulate import (
     rollout_status,
 )
 from learning_to_simulate.axes import Axes
-from learning_to_simulate.baselines import earthmoving, path_ridge
-from learning_to_simulate.baselines.wheel_terramechanics import WheelTerramechanics
+from learning_to_simulate.baselines import path_ridge
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
-from learning_to_simulate.config import OpenLoopConfig
+from learning_to_simulate.config import PathRidgeConfig
 from learning_to_simulate.registry import OpenedModel
 from learning_to_simulate.rollout import Rollout
 from learning_to_simulate.scene import Scene
@@ -35,26 +33,19 @@ from pca_tools import dataset, files
 from pca_tools.storage import folder_lock
 
 ARRAYS_FILE = 'path_ridge.npz'
-# Model -> class with `predict(group, cases) -> open_loop.Prediction`, with
-# `parts() -> (values for JSON, arrays)` and its inverse `of_parts(values, arrays, scene)`.
-METHODS: dict[str, Any] = {
-    'path_ridge': path_ridge.PathRidge,
-    'earthmoving': earthmoving.EarthmovingForce,
-    'bekker_wong_janosi': WheelTerramechanics,
-}
 
 
 @dataclasses.dataclass
-class OpenLoopModel:
-    """A fitted method as evaluations take it.
+class RidgeModel:
+    """A fitted regression as evaluations take it.
 
     Attributes:
       simulator: its `config`, `scene` and `statistics` (the ranges that rollouts are judged by).
-      method: of `METHODS`.
+      method: the regression.
     """
 
     simulator: SimpleNamespace
-    method: Any
+    method: path_ridge.PathRidge
 
     def layout(self, n_rigid: int):
         """No graph."""
@@ -62,19 +53,13 @@ class OpenLoopModel:
         return SimpleNamespace(n_node=n_node, n_edge=0, senders=(), receivers=())
 
 
-class OpenLoopEvaluator(evaluation.Evaluator):
-    """Rollouts of an `OpenLoopModel` on a split of a dataset, whose metadata's `cases` hold the
-    soil's parameters."""
-
-    def __init__(self, model: OpenLoopModel, metadata: dict, split: str):
-        super().__init__(model, metadata)
-        self._split = split
+class RidgeEvaluator(evaluation.Evaluator):
+    """Rollouts of a `RidgeModel`."""
 
     def roll_out(self, group) -> Rollout:
-        """`Rollout` of one `RunGroup` of the split."""
-        simulator, cases = self._model.simulator, cases_of(group, self._split, self._metadata)
-        start = time.perf_counter()
-        predicted = self._model.method.predict(group, cases)  # type: ignore[attr-defined]
+        """`Rollout` of one `RunGroup`."""
+        simulator, start = self._model.simulator, time.perf_counter()
+        predicted = self._model.method.predict(group)  # type: ignore[attr-defined]
         seconds = time.perf_counter() - start
         position, force = predicted.position, predicted.force
         judgements = rollout_status.judge(
@@ -97,20 +82,14 @@ class OpenLoopEvaluator(evaluation.Evaluator):
         return {key: float(np.mean(values)) for key, values in found.items()}
 
 
-def cases_of(group, split: str, metadata: dict) -> list:
-    """Per run of a group, its entry in the metadata's `cases`; {} where there is none."""
-    cases = metadata.get('cases', {}).get(split, [])
-    return [cases[i] if i < len(cases) else {} for i in group.record]
-
-
-def fit(config: OpenLoopConfig, data_path: str, metadata: dict, train_groups, valid_groups, scene):
-    """The method of a config, fitted to the runs of a dataset.
+def fit(config: PathRidgeConfig, data_path: str, metadata: dict, train_groups, valid_groups, scene):
+    """The regression of a config, fitted to the runs of a dataset.
 
     Args:
-      config: which one.
+      config: how.
       data_path: dataset folder; its subspace holds the resting bed.
       metadata: of the dataset.
-      train_groups, valid_groups: lists of `RunGroup`; valid chooses what a ridge is like.
+      train_groups, valid_groups: lists of `RunGroup`; valid chooses what the ridge is like.
       scene: of the dataset.
 
     Raises:
@@ -120,36 +99,19 @@ def fit(config: OpenLoopConfig, data_path: str, metadata: dict, train_groups, va
     bodies = train_groups[0].position[:, :, : train_groups[0].n_rigid]
     if not bodies.shape[2]:
         raise ValueError(f'{config.model} needs a rigid body; {data_path} has none')
-    axes = Axes.of_bodies([bodies], scene.up_axis)
-    surface = bed.height_of_dataset(data_path, metadata, axes)
-    if config.model == 'path_ridge':
+    surface = bed.height_of_dataset(data_path, metadata, Axes.of_bodies([bodies], scene.up_axis))
 
-        def progress(choices):
-            return tqdm.tqdm(choices, unit='choice', desc='path ridge', disable=None)
+    def progress(choices):
+        return tqdm.tqdm(choices, unit='choice', desc='path ridge', disable=None)
 
-        return path_ridge.PathRidge.fit(
-            train_groups, valid_groups, scene, surface, config.max_samples, progress=progress,
-            **(path_ridge.FEW_RUNS if config.leave_one_out else {}),
-        )  # fmt: skip
-    if not scene.has_force:
-        raise ValueError(f'{config.model} is a formula of the force, which {data_path} lacks')
-    cases = [cases_of(group, 'train', metadata) for group in train_groups]
-    if config.model == 'earthmoving':
-        for case in (case for of_group in cases for case in of_group):
-            earthmoving.soil_parameters(case)
-        if surface is None:
-            raise ValueError(
-                f'{data_path}: has no subspace.npz, so the height of the bed is not known, which '
-                f'earthmoving needs'
-            )
-        method = earthmoving.EarthmovingForce(scene, axes, surface)
-    else:
-        method = WheelTerramechanics(scene, axes)
-    return method.fitted(train_groups, cases) if config.fitted else method
+    return path_ridge.PathRidge.fit(
+        train_groups, valid_groups, scene, surface, config.max_samples, progress=progress,
+        **(path_ridge.FEW_RUNS if config.leave_one_out else {}),
+    )  # fmt: skip
 
 
 def train(data_path, model_path, config, options) -> dict:
-    """Fits a method and leaves its model folder, or finds it done; see `registry.train`."""
+    """Fits the regression and leaves its model folder, or finds it done; see `registry.train`."""
     metadata = dataset.read_metadata(data_path)
     groups = reading_utils.read_groups(data_path, 'train', metadata)
     valid = reading_utils.read_groups(data_path, 'valid', metadata)
@@ -161,7 +123,7 @@ def train(data_path, model_path, config, options) -> dict:
             method = fit(config, data_path, metadata, groups, valid, scene)
             _save(model_path, config, scene, method, groups, metadata, data)
         model = load(model_path)
-    _, summary = OpenLoopEvaluator(model, metadata, 'valid').run(valid, 'valid')
+    _, summary = RidgeEvaluator(model, metadata).run(valid, 'valid')
     print(evaluation.table(summary))
     if config.leave_one_out:
         off = ', '.join(f'{k} {v:.3g} {path_ridge.UNITS[k]}' for k, v in
@@ -179,8 +141,7 @@ def _save(path, config, scene, method, groups, metadata, data):
     usual = presets.PRESETS['pcg']
     statistics = normalization.compute_statistics(groups, metadata, scene, usual)
     values, arrays = method.parts()
-    if arrays:
-        files.write_npz(os.path.join(path, ARRAYS_FILE), **arrays)
+    files.write_npz(os.path.join(path, ARRAYS_FILE), **arrays)
     files.write_json(
         os.path.join(path, checkpoints.CONFIG_FILE),
         {
@@ -195,8 +156,8 @@ def _save(path, config, scene, method, groups, metadata, data):
     )
 
 
-def load(model_path: str) -> OpenLoopModel:
-    """A fitted method.
+def load(model_path: str) -> RidgeModel:
+    """A fitted regression.
 
     Raises:
       FileNotFoundError, ValueError: no model there, or a damaged one.
@@ -204,22 +165,22 @@ def load(model_path: str) -> OpenLoopModel:
     stored = checkpoints.read_config(model_path)
     path = os.path.join(model_path, ARRAYS_FILE)
     with checkpoints.refusing_wrong_fields(model_path):
-        config = OpenLoopConfig(**stored['config'])
+        config = PathRidgeConfig(**stored['config'])
         scene = Scene.from_json(stored['scene'])
         statistics = normalization.Statistics.from_json(stored['statistics'])
-        arrays = files.read_npz(path) if config.model == 'path_ridge' else {}
-        method = METHODS[config.model].of_parts(stored['method'], arrays, scene)
-    return OpenLoopModel(SimpleNamespace(config=config, scene=scene, statistics=statistics), method)
+        arrays = files.read_npz(path)
+        method = path_ridge.PathRidge.of_parts(stored['method'], arrays, scene)
+    return RidgeModel(SimpleNamespace(config=config, scene=scene, statistics=statistics), method)
 
 
 def open_model(model_path, data_path, split, overrides=None, raw_path=None) -> OpenedModel:
-    """A fitted method with the runs of a split; see `registry`."""
+    """A fitted regression with the runs of a split; see `registry`."""
     model = load(model_path)
     checkpoints.refuse_contradictions(model_path, model.simulator.config, overrides or {})
     metadata = dataset.read_metadata(data_path)
     checkpoints.check_dataset(model_path, model, data_path, metadata)
     groups = reading_utils.read_groups(data_path, split, metadata)
-    evaluator = OpenLoopEvaluator(model, metadata, split)
+    evaluator = RidgeEvaluator(model, metadata)
     return OpenedModel(
         model, groups, metadata, evaluator, lambda: evaluator.one_step_errors(groups)
     )

@@ -19,16 +19,17 @@ that was, and the profile at places that are the same in all runs, as the partic
 import dataclasses
 import itertools
 import json
+from typing import NamedTuple
 
 import numpy as np
 
-from learning_to_simulate import swept
+from learning_to_simulate import metrics, swept
 from learning_to_simulate.axes import Axes, blade_pose, hidden_height, wheel_pose
-from learning_to_simulate.baselines import open_loop
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.scene import RigidMotion, Scene
 from learning_to_simulate.swept import EDGE_RADIUS
 
+SOIL, FORCE, HEIGHT = 'soil', 'force', 'height'  # outputs; the height is that of a driven body
 # Widths and ridges that are chosen from; widths per number of inputs.
 GAMMAS = (0.01, 0.03, 0.1, 0.3, 1.0)
 ALPHAS = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1)
@@ -37,13 +38,42 @@ ALPHAS = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1)
 KERNELS = {'gaussian': np.inf, 'matern': 1.5, 'exponential': 0.5}
 # Of a dataset of a dozen runs; see `PathRidge.fit`.
 FEW_RUNS = {'leave_one_out': True, 'kernels': tuple(KERNELS), 'n_best': 10}
-UNITS = {open_loop.SOIL: 'm of a score', open_loop.FORCE: 'N', open_loop.HEIGHT: 'm'}
+UNITS = {SOIL: 'm of a score', FORCE: 'N', HEIGHT: 'm'}
 # Samples that choose where runs are left out; what is chosen is fitted to all `max_samples`.
 _CHOOSING_SAMPLES = 800
 # The force itself as a target, beside its change since the last given frame.
 _FREE_FORCE = 'free force'
 SETS = ('path', 'swept', 'bed')
 PROFILE_BINS = 15
+
+
+class Prediction(NamedTuple):
+    """Predicted frames H .. T - 1 of S runs."""
+
+    position: np.ndarray  # float64 [S, T - H, V, D], m; what is not predicted stays still
+    force: np.ndarray | None  # float64 [S, T - H, D], N
+
+
+def held_position(group, scene, height=None) -> np.ndarray:
+    """Positions [S, T - H, V, D] of soil that stays still and of the body as it is known.
+
+    Args:
+      group: `RunGroup` of S runs.
+      scene: says what of the body's motion is given.
+      height: [S, T - H] predicted height of a driven body's mean particle, m; None: it is held.
+    """
+    n_frame = group.position.shape[1] - H
+    position = metrics.stay_still(group.position[:, :H], n_frame)
+    body = group.position[:, H:, : group.n_rigid].copy()
+    if scene.rigid_motion == RigidMotion.DRIVEN:
+        up = scene.up_axis
+        centre = body[..., up].mean(axis=2)
+        if height is None:
+            height = group.position[:, H - 1 : H, : group.n_rigid, up].mean(axis=2)
+        body[..., up] += (height - centre)[:, :, None]
+    if scene.rigid_motion.is_known:
+        position[:, :, : group.n_rigid] = body
+    return position
 
 
 @dataclasses.dataclass(frozen=True)
@@ -347,9 +377,8 @@ class PathRidge:
             regressions.setdefault(name, []).extend(map(samples.fitted, best))
         return cls(scene, reader, regressions, choices)
 
-    def predict(self, group, cases=None) -> open_loop.Prediction:
-        """Frames H .. T - 1 of the S runs of a group; their cases add nothing."""
-        del cases
+    def predict(self, group) -> Prediction:
+        """Frames H .. T - 1 of the S runs of a group."""
         seen: dict = {}
         predicted = {}
         for name, regressions in self.regressions.items():
@@ -358,18 +387,18 @@ class PathRidge:
                 if one.inputs not in seen:
                     seen[one.inputs] = self.reader.read(group, one.inputs)
                 values = one.since_start(one(seen[one.inputs][:, H - 1 :]))
-                if name == open_loop.FORCE and one.offset is None:
+                if name == FORCE and one.offset is None:
                     values += group.force[:, H - 1 : H]
                 each.append(values)
             predicted[name] = np.mean(each, axis=0)
         n_rigid, height = group.n_rigid, None
-        if open_loop.HEIGHT in predicted:
+        if HEIGHT in predicted:
             start = group.position[:, H - 1, :n_rigid, self.scene.up_axis].mean(axis=1)
-            height = start[:, None] + predicted[open_loop.HEIGHT][..., 0]
-        position = open_loop.held_position(group, self.scene, height)
+            height = start[:, None] + predicted[HEIGHT][..., 0]
+        position = held_position(group, self.scene, height)
         soil = position[:, :, n_rigid:]
-        soil += predicted[open_loop.SOIL].reshape(soil.shape)
-        return open_loop.Prediction(position, predicted.get(open_loop.FORCE))
+        soil += predicted[SOIL].reshape(soil.shape)
+        return Prediction(position, predicted.get(FORCE))
 
     def least_errors(self) -> dict[str, float]:
         """Output -> error of its best choice: mean over the judging runs of the RMS, m or N."""
@@ -420,11 +449,11 @@ def _targets(group, scene) -> dict[str, np.ndarray]:
     says much of its load, a blade's begins from nothing.
     """
     body, modes = np.split(group.position, [group.n_rigid], axis=2)
-    values = {open_loop.SOIL: modes.reshape(*modes.shape[:2], -1)}
+    values = {SOIL: modes.reshape(*modes.shape[:2], -1)}
     if scene.has_force:
-        values[open_loop.FORCE] = group.force
+        values[FORCE] = group.force
     if scene.rigid_motion == RigidMotion.DRIVEN:
-        values[open_loop.HEIGHT] = body[..., scene.up_axis].mean(axis=2)[..., None]
+        values[HEIGHT] = body[..., scene.up_axis].mean(axis=2)[..., None]
     targets = {name: v - v[:, H - 1 : H] for name, v in values.items()}
     return targets | ({_FREE_FORCE: group.force} if scene.has_force else {})
 
@@ -521,6 +550,6 @@ def _choice(target, kernel, inputs, gamma, alpha, square):
 
     Not relative to the force: that of runs which hardly touch the soil would decide.
     """
-    output = open_loop.FORCE if target == _FREE_FORCE else target
+    output = FORCE if target == _FREE_FORCE else target
     return {'output': output, 'target': target, 'kernel': kernel, 'inputs': inputs, 'gamma': gamma,
             'alpha': alpha, 'error': float(np.sqrt(square).mean())}  # fmt: skip

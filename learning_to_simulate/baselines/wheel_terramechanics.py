@@ -16,25 +16,12 @@ import dataclasses
 from typing import NamedTuple
 
 import numpy as np
-from scipy import optimize
 
-from learning_to_simulate.axes import Axes, hidden_height, wheel_pose
-from learning_to_simulate.baselines import open_loop
-from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
-from learning_to_simulate.scene import RigidMotion
-
-CONTEXT = ('gravity', 'friction_angle_deg', 'load')  # of a scene: m/s2, degrees, N
 RIM_FRICTION = 0.5
-# Gravity (m/s2) and friction of the soil (28 degrees) that the default parameters were measured at.
-EARTH_GRAVITY = 9.81
-TABLE_FRICTION = 0.5317
+EARTH_GRAVITY = 9.81  # m/s2, that the default parameters were measured at
 _BISECTIONS = 30
 # Sine of the angle at which the rim ends: beyond, it stands upright.
 _RIM_END = 0.9999
-# What `fitted` moves, and how: positive ones as logarithms.
-_FITTED = ('k_phi', 'n', 'shear_modulus', 'friction_factor')
-_FIT_STEPS = (0.7, 0.2, 0.5, -0.2, 2.0)  # of the fitted values and of the friction exponent
-_FIT_STRIDE, _FIT_BINS, _FIT_ITERATIONS = 8, 40, 160
 
 
 @dataclasses.dataclass(frozen=True)
@@ -51,10 +38,6 @@ class TerrainParameters:
     n: float = 1.1  # exponent of sinkage
     shear_modulus: float = 0.01  # K, m
     cohesion: float = 0.0  # Pa
-    friction_factor: float = 1.0  # on the friction that limits the shear stress
-    # The moduli grow with this power of tan(phi) over that of the table; 0 is Bekker's law, whose
-    # moduli know no friction angle.
-    friction_exponent: float = 0.0
     elastic: float = 20.0  # stiffness of unloading over p(z) / z of the point at its deepest
 
 
@@ -135,11 +118,10 @@ class Bed:
             for x in (wheels.radius, wheels.width, wheels.soil_friction, wheels.rim_friction,
                       wheels.gravity)
         )  # fmt: skip
-        of_angle = (soil_friction / TABLE_FRICTION) ** parameters.friction_exponent
-        of_soil = gravity / EARTH_GRAVITY * of_angle
-        self._modulus = (parameters.k_c / width + parameters.k_phi) * of_soil
+        of_gravity = gravity / EARTH_GRAVITY
+        self._modulus = (parameters.k_c / width + parameters.k_phi) * of_gravity
         # The rim slides before the soil shears where it is the smoother of both.
-        self._friction = parameters.friction_factor * np.minimum(soil_friction, rim_friction)
+        self._friction = np.minimum(soil_friction, rim_friction)
         self._spacing = self._radius / n_bin  # [S, 1]
         self._area = width * self._spacing
         self._start = np.asarray(first)[:, None] - self._radius
@@ -216,114 +198,3 @@ def drive(
         rows.append((high, forward, upward, radius * moment))
         bed.press(contact, high)
     return WheelMotion(*(np.stack(x, axis=1) for x in zip(*rows, strict=True)))
-
-
-class WheelTerramechanics:
-    """The wheel's motion and force along recorded paths; the soil stays still.
-
-    Args:
-      scene: what exists; the body must be driven, the context as in `CONTEXT`.
-      axes: of the scene.
-      parameters: of the soil.
-
-    Raises:
-      ValueError: a scene that is not a wheel's.
-    """
-
-    def __init__(self, scene, axes, parameters=TerrainParameters()):  # noqa: B008
-        if scene.rigid_motion != RigidMotion.DRIVEN or not set(CONTEXT) <= set(scene.context_names):
-            raise ValueError(
-                f'Bekker, Wong and Janosi need a driven wheel with the context {CONTEXT}; the body '
-                f'is {scene.rigid_motion}, its context {scene.context_names}'
-            )
-        self.scene, self.axes, self.parameters = scene, axes, parameters
-
-    def parts(self) -> tuple[dict, dict]:
-        """Values for JSON, and no arrays; `of_parts` is the inverse."""
-        both = {'axes': self.axes, 'parameters': self.parameters}
-        return {name: dataclasses.asdict(value) for name, value in both.items()}, {}
-
-    @classmethod
-    def of_parts(cls, values: dict, arrays: dict, scene) -> 'WheelTerramechanics':
-        """Rebuilds a method; raises KeyError, TypeError or ValueError on foreign values."""
-        parameters = {k: float(v) for k, v in values['parameters'].items()}
-        return cls(scene, Axes(**values['axes']), TerrainParameters(**parameters))
-
-    def drive(self, group, cases=None, stride: int = 1, n_bin: int = 160) -> WheelMotion:
-        """`WheelMotion` [S, ceil(T / stride)] of the runs of a group."""
-        body = hidden_height(group.position[:, :, : group.n_rigid], self.scene, H)
-        centre, turned, radius, width = wheel_pose(body, self.axes)
-        gravity, angle, load = (
-            group.context[..., self.scene.context_names.index(name)] for name in CONTEXT
-        )
-        if load.ndim == 2:  # soil and planet stay, the load may change
-            gravity, angle, load = gravity[:, 0], angle[:, 0], load[:, ::stride]
-        rim = [(c or {}).get('body_friction', RIM_FRICTION) for c in cases or [None] * len(load)]
-        wheels = Wheels(radius, width, load, gravity, np.tan(np.radians(angle)), np.array(rim))
-        travel = centre[..., 0] - centre[:, :1, 0]
-        rolled = radius[:, None] * turned
-        return drive(wheels, travel[:, ::stride], rolled[:, ::stride], self.parameters, n_bin)
-
-    def predict(self, group, cases=None) -> open_loop.Prediction:
-        """Frames H .. T - 1 of the S runs of a group.
-
-        The height goes on from the last given one, by the change of the sinkage since.
-
-        Args:
-          group: `RunGroup`.
-          cases: per run, its entry in the metadata's `cases`; only `body_friction` is read.
-        """
-        motion = self.drive(group, cases)
-        up = self.scene.up_axis
-        start = group.position[:, H - 1, : group.n_rigid, up].mean(axis=1)[:, None]
-        height = start - (motion.sinkage[:, H:] - motion.sinkage[:, H - 1 : H])
-        position = open_loop.held_position(group, self.scene, height)
-        return open_loop.Prediction(position, self.force(motion)[:, H:])
-
-    def force(self, motion: WheelMotion) -> np.ndarray:
-        """The force [S, T, 3] on the wheel in the world, N."""
-        force = np.zeros((*motion.drawbar.shape, 3))
-        force[..., self.axes.axis] = self.axes.sign * motion.drawbar
-        force[..., self.axes.up] = motion.vertical
-        return force
-
-    def fitted(self, groups, cases=None) -> 'WheelTerramechanics':
-        """The same with k_phi, n, K, the friction factor and the friction exponent that fit the
-        runs of the groups best (Nelder-Mead on every eighth frame).
-
-        The error is the mean over runs of the force's relative L2 error and of the height's RMS
-        error over the RMS of the height's change in all runs.
-        """
-        cases = cases or [None] * len(groups)
-        up = self.scene.up_axis
-        truth = []
-        for group in groups:
-            height = group.position[:, :, : group.n_rigid, up].mean(axis=2)[:, ::_FIT_STRIDE]
-            truth.append((height - height[:, :1], group.force[:, ::_FIT_STRIDE]))
-        moved = np.sqrt(np.mean(np.concatenate([h.reshape(-1) for h, _ in truth]) ** 2))
-
-        def error(values):
-            method = WheelTerramechanics(self.scene, self.axes, self._with(values))
-            errors = []
-            for group, of_group, (height, force) in zip(groups, cases, truth, strict=True):
-                motion = method.drive(group, of_group, _FIT_STRIDE, _FIT_BINS)
-                sunk = motion.sinkage[:, :1] - motion.sinkage - height
-                off = method.force(motion) - force
-                errors.append(np.sqrt((sunk**2).mean(axis=1)) / max(moved, 1e-9))
-                errors.append(np.sqrt((off**2).sum(axis=(1, 2)) / (force**2).sum(axis=(1, 2))))
-            return float(np.concatenate(errors).mean())
-
-        start = [np.log(getattr(self.parameters, name)) for name in _FITTED]
-        start.append(self.parameters.friction_exponent)
-        simplex = np.array([start] + [np.array(start) + s for s in np.diag(_FIT_STEPS)])
-        found = optimize.minimize(
-            error,
-            start,
-            method='Nelder-Mead',
-            options={'maxfev': _FIT_ITERATIONS, 'initial_simplex': simplex},
-        )
-        return WheelTerramechanics(self.scene, self.axes, self._with(found.x))
-
-    def _with(self, values):
-        changed = {name: float(np.exp(v)) for name, v in zip(_FITTED, values[:-1], strict=True)}
-        return dataclasses.replace(self.parameters, **changed, friction_exponent=float(values[-1]))

@@ -1,4 +1,4 @@
-"""Open-loop methods through the same command, folders and files as the networks."""
+"""The regression on the path through the same command, folders and files as the networks."""
 
 import json
 import os
@@ -90,15 +90,6 @@ def test_foreign_folders_and_settings_are_refused(trained, tmp_path):
         method_lib.open_model(model, data, 'test', {'max_samples': 5})
     with pytest.raises(ValueError, match='max_samples'):
         presets.make_config('path_ridge', max_samples=0)
-
-
-@pytest.mark.parametrize('preset', ['earthmoving', 'bekker_wong_janosi_fitted'])
-def test_a_formula_of_another_scene_is_refused_before_anything_is_written(
-    trained, preset, tmp_path
-):
-    with pytest.raises(ValueError, match='states no soil|need a driven wheel'):
-        registry.train(trained[0], str(tmp_path / 'model'), presets.make_config(preset))
-    assert not os.path.exists(tmp_path / 'model' / 'config.json')
 
 
 def test_a_fit_to_the_valid_runs_says_that_they_judge_no_more(trained, tmp_path, capsys):

@@ -10,7 +10,7 @@ from sklearn.kernel_ridge import KernelRidge
 from sklearn.model_selection import LeaveOneGroupOut, cross_val_predict
 
 from learning_to_simulate import metrics, reading_utils
-from learning_to_simulate.baselines import open_loop, path_ridge
+from learning_to_simulate.baselines import path_ridge
 from learning_to_simulate.baselines.path_ridge import (
     SETS,
     PathInputs,
@@ -51,7 +51,7 @@ def fitted(tmp_path_factory):
 def test_it_finds_what_the_path_decides(fitted, motion):
     method, scene, group = fitted(motion)
     prediction, truth = method.predict(group), group.position[:, H:]
-    still, n = open_loop.held_position(group, scene), group.n_rigid
+    still, n = path_ridge.held_position(group, scene), group.n_rigid
     ours, theirs = (
         metrics.soil_mse(p, truth, n, scene.n_soil).mean() for p in (prediction.position, still)
     )
