@@ -187,49 +187,21 @@ FMI2_EXPORT fmi2Status FMI2(fmi2SetReal)(fmi2Component instance, const fmi2Value
   return done(c, fmu_set_reals(&c->core, vr, n, value));
 }
 
-FMI2_EXPORT fmi2Status FMI2(fmi2GetInteger)(fmi2Component instance, const fmi2ValueReference vr[],
-                                            size_t n, fmi2Integer value[]) {
-  OPEN_VALUES(c);
-  const char *wrong = NULL;
-  for (size_t i = 0; i < n && !wrong; ++i) wrong = fmu_get_integer(&c->core, vr[i], &value[i]);
-  return done(c, wrong);
-}
-
-FMI2_EXPORT fmi2Status FMI2(fmi2SetInteger)(fmi2Component instance, const fmi2ValueReference vr[],
-                                            size_t n, const fmi2Integer value[]) {
-  OPEN_VALUES(c);
-  const char *wrong = NULL;
-  for (size_t i = 0; i < n && !wrong; ++i) wrong = fmu_set_integer(&c->core, vr[i], value[i]);
-  return done(c, wrong);
-}
-
-FMI2_EXPORT fmi2Status FMI2(fmi2GetBoolean)(fmi2Component instance, const fmi2ValueReference vr[],
-                                            size_t n, fmi2Boolean value[]) {
-  OPEN_VALUES(c);
-  const char *wrong = NULL;
-  for (size_t i = 0; i < n && !wrong; ++i) wrong = fmu_get_boolean(&c->core, vr[i], &value[i]);
-  return done(c, wrong);
-}
-
-FMI2_EXPORT fmi2Status FMI2(fmi2SetBoolean)(fmi2Component instance, const fmi2ValueReference vr[],
-                                            size_t n, const fmi2Boolean value[]) {
-  OPEN(c);
-  return done(c, n ? "no boolean variable can be set" : NULL);
-}
-
-FMI2_EXPORT fmi2Status FMI2(fmi2GetString)(fmi2Component instance, const fmi2ValueReference vr[],
-                                           size_t n, fmi2String value[]) {
-  OPEN_VALUES(c);
-  const char *wrong = NULL;
-  for (size_t i = 0; i < n && !wrong; ++i) wrong = fmu_get_string(&c->core, vr[i], &value[i]);
-  return done(c, wrong);
-}
-
-FMI2_EXPORT fmi2Status FMI2(fmi2SetString)(fmi2Component instance, const fmi2ValueReference vr[],
-                                           size_t n, const fmi2String value[]) {
-  OPEN(c);
-  return done(c, n ? "no string variable can be set" : NULL);
-}
+/* Functions of several variables, by one of the core for each. */
+#define EACH(name, type, call)                                                                        \
+  FMI2_EXPORT fmi2Status FMI2(name)(fmi2Component instance, const fmi2ValueReference vr[], size_t n,  \
+                                    type value[]) {                                                   \
+    OPEN_VALUES(c);                                                                                   \
+    const char *wrong = NULL;                                                                         \
+    for (size_t i = 0; i < n && !wrong; ++i) wrong = call;                                            \
+    return done(c, wrong);                                                                            \
+  }
+EACH(fmi2GetInteger, fmi2Integer, fmu_get_integer(&c->core, vr[i], &value[i]))
+EACH(fmi2SetInteger, const fmi2Integer, fmu_set_integer(&c->core, vr[i], value[i]))
+EACH(fmi2GetBoolean, fmi2Boolean, fmu_get_boolean(&c->core, vr[i], &value[i]))
+EACH(fmi2SetBoolean, const fmi2Boolean, "no boolean variable can be set")
+EACH(fmi2GetString, fmi2String, fmu_get_string(&c->core, vr[i], &value[i]))
+EACH(fmi2SetString, const fmi2String, "no string variable can be set")
 
 /* ---- steps ---- */
 
