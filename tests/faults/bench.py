@@ -133,7 +133,7 @@ def _raise_hang(*_):
 
 @contextlib.contextmanager
 def limited() -> Iterator[None]:
-    """This process may take `MEMORY` bytes more than it has; a hang is told by a signal."""
+    """This process may take `MEMORY` bytes more than it has; a hang ends with a signal."""
     signal.signal(signal.SIGPROF, _raise_hang)
     with open('/proc/self/statm', encoding='utf-8') as file:
         size = int(file.read().split()[0]) * resource.getpagesize()
