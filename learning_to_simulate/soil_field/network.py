@@ -46,7 +46,7 @@ BESIDE_RAMP = 0.05
 BELOW, BELOW_RAMP = 0.05, 0.03
 ACROSS = 0.05
 NEIGHBOUR = 0.1  # m across, where a place looks at the terrain beside it
-HIDDEN = {'load': (64, 64), 'surface': (64, 64), 'soil': (128, 128, 128)}
+HIDDEN = {'load': (64, 64), 'surface': (64, 64), 'soil': (64, 64, 64)}
 
 
 def names_of(tool) -> tuple[str, ...]:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import tensorflow as tf
 
-from learning_to_simulate.soil_field import inputs, network, strips, sweep
+from learning_to_simulate.soil_field import inputs, network, settings, strips, sweep
 from learning_to_simulate.soil_field.inputs import TABLES
 from learning_to_simulate.soil_field.terrain import Terrain
 from learning_to_simulate.soil_field.tools import Blade, Wheel
@@ -300,3 +300,11 @@ def test_networks_differ():
     first = [part.layers[0][0].numpy() for part in (one.load, one.surface, one.soil)]
     corners = [w[m, 0, 0] for w in (*first, 0.5 * other.load.layers[0][0].numpy()) for m in (0, 1)]
     assert len(set(corners)) == 8
+
+
+@pytest.mark.parametrize('tool', [Blade, Wheel])
+def test_weights_of_a_model_take_at_most_400_kb(tool):
+    members = settings.PRESETS['soil_field'].members
+    nets = network.SoilNetworks(tool, members, 0)
+    numbers = sum(np.prod(v.shape) for v in nets.trainable_variables)
+    assert members == 3 and 4 * numbers <= 400e3
