@@ -89,6 +89,8 @@ def values(field) -> dict:
         'heap': network.HEAP,
         'above': network.ABOVE,
         'ramp': network.RAMP,
+        'under_along': network.UNDER_ALONG,
+        'under_across': network.UNDER_ACROSS,
         'force': network.FORCE,
         'torque': network.TORQUE,
         'full_width': network.WIDTH[tool.name],

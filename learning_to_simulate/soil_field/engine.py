@@ -219,8 +219,10 @@ class TfEngine:
         """The frame of a passage at a pose."""
         frame = passage.frame
         loads = self._field.loads(frame, self._members)[:, 0].astype(np.float64) * self._units
+        share = self._field.contact(passage, self._members) if loads.any() else 1.0
+        loads *= share
         mean = loads.mean(axis=0)
-        values = self._field.judged(frame, self._conditions(passage, pose)[None])
+        values = self._field.judged(frame, self._conditions(passage, pose)[None], share == 0)
         now = self._field.limits.judge(values, self._number, bool(np.isfinite(mean).all()))
         force, torque = passage.place.vectors(mean[:3]), passage.place.vectors(mean[3:])
         spread = loads.std(axis=0)

@@ -22,7 +22,8 @@ MARGIN = 0.05
 # What no network sees and all of training had as it should be, in the soil: name -> (least, most).
 # Yaw and roll, rad; all others in m of the field: distance of the tool from the plane of its
 # passage; how far its ends stand out of the map; what is missing of the tool's `least_soil` between
-# it and the floor; by how much another tool is nearer than `APART`; the side of a cell.
+# it and the floor; by how much another tool is nearer than `APART`; the side of a cell, at most the
+# tool's `largest_cell`.
 CONDITIONS = {
     'yaw': (-0.035, 0.035),
     'roll': (-0.035, 0.035),
@@ -30,7 +31,7 @@ CONDITIONS = {
     'beyond_map': (0.0, 0.02),
     'thin_soil': (0.0, 0.0),
     'other_tool': (0.0, 0.0),
-    'cell': (0.0, 0.04),
+    'cell': (0.0, np.nan),
 }
 APART = 0.1
 # Numbers of a frame that are judged: scalars, and what follows from bins about the tool.
@@ -69,22 +70,28 @@ class SoilField:
     def limits(self) -> Ranges:
         """What frames are judged by."""
         names = self.judged_names
-        low, high = np.array([(self.ranges | CONDITIONS)[name] for name in names], float).T
+        known = self._known
+        low, high = np.array([known[name] for name in names], float).T
         extra = np.where([n in CONDITIONS for n in names], 0.0, MARGIN * (high - low)) + 1e-6
         return Ranges(names, low, high, np.stack([low - extra, high + extra]))
 
     @property
     def middle(self) -> np.ndarray:
         """[N] of the ranges of `judged`."""
-        ranges = self.ranges | CONDITIONS
-        return np.array([np.mean(ranges.get(name, (0, 0))) for name in self.judged_names])
+        known = self._known
+        return np.array([np.mean(known.get(name, (0, 0))) for name in self.judged_names])
 
-    def judged(self, frames: sweep.Frame, conditions=None) -> np.ndarray:
+    @property
+    def _known(self):
+        return self.ranges | CONDITIONS | {'cell': (0.0, self.networks.tool.largest_cell)}
+
+    def judged(self, frames: sweep.Frame, conditions=None, in_air: bool = False) -> np.ndarray:
         """[T, N] numbers that say whether frames are like those of training, see `judged_names`.
 
         Args:
           frames: of one tool.
           conditions: [T, 7] of `CONDITIONS`; None where all are as they should be.
+          in_air: whether the tool is known to be clear of the soil, see `contact`.
         """
         columns = self.networks.scalars
         tip, height, radius = (
@@ -106,20 +113,49 @@ class SoilField:
         own = [frames.scalars[..., columns[n]].max(axis=1) for n in names]
         values = np.stack(own + found, axis=1).astype(np.float64)
         lowest = np.where(here, surface - frames.bins[..., sweep.CUT], np.inf).min(axis=(1, 2))
-        # In the air all is free but what the tool is. A blade on its head hangs below its edge.
-        lowest_part = height - radius
-        if 'length' in columns:
-            lean, length = (frames.scalars[:, 0, columns[n]] for n in ('lean', 'length'))
-            lowest_part = lowest_part + np.minimum(length * np.cos(lean), 0.0)
-        touches = lowest_part < np.maximum(lowest, level) + network.ABOVE + (
+        # In the air all is free but what the tool is.
+        touches = self._lowest_part(frames) < np.maximum(lowest, level) + network.ABOVE + (
             network.HEAP * np.sqrt(np.maximum(values[:, 1:3].max(axis=1), 0.0))
         )
+        touches &= not in_air
         free = np.zeros(len(self.judged_names), bool)
         free[: len(_SCALARS)] = free[len(names) :] = True
         if conditions is None:
             conditions = np.zeros((len(values), len(CONDITIONS)))
         values = np.concatenate([values, np.asarray(conditions, np.float64)], axis=1)
         return np.where(free & ~touches[:, None], self.middle, values)
+
+    def _lowest_part(self, frames):
+        """Height of the lowest part of a tool [T]; a blade on its head hangs below its edge."""
+        columns = self.networks.scalars
+        height, radius = (frames.scalars[:, 0, columns[n]] for n in ('height', 'radius'))
+        if 'length' not in columns:
+            return height - radius
+        lean, length = (frames.scalars[:, 0, columns[n]] for n in ('lean', 'length'))
+        return height - radius + np.minimum(length * np.cos(lean), 0.0)
+
+    def contact(self, passage: Passage, members: int | None = None) -> float:
+        """Share of the load that acts on the tool of a passage. kappa of the load knows how high a
+        heap can be; this asks how high soil stands: with s_max the highest terrain before the tool
+        came and r the farthest that it has risen under it,
+
+          clip((ABOVE + RAMP - (lowest part - s_max - max(r, 0))) / RAMP, 0, 1)                (22)
+        """
+        frame, columns = passage.frame, self.networks.scalars
+        tip, half = (float(frame.scalars[0, 0, columns[n]]) for n in ('tip', 'half_width'))
+        surface = frame.bins[0, passage.strips.under, :, sweep.SURFACE]
+        near = np.abs(sweep.GRID.offsets - tip) < network.UNDER_ALONG[-1]
+        clearance = float(self._lowest_part(frame)[0]) - float(surface[:, near].max())
+        if clearance <= network.ABOVE:
+            return 1.0
+        places = np.stack(
+            np.meshgrid(
+                tip + np.array(network.UNDER_ALONG), half * np.array(network.UNDER_ACROSS),
+                indexing='ij',
+            ), axis=-1,
+        )  # fmt: skip
+        risen = max(float(self.rise(passage, places.reshape(-1, 2), members).max()), 0.0)
+        return float(np.clip((network.ABOVE - clearance + risen) / network.RAMP + 1.0, 0.0, 1.0))
 
     def bound(self, force, spread, unit: float, members: int | None = None) -> float:
         """What the length of the error of a force keeps, N: in 95 % of the frames of 9 of 10 runs

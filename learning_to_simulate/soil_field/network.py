@@ -41,6 +41,10 @@ AROUND_TOOL = (-0.06, -0.03, 0.0, 0.03, 0.06)
 # 35 degrees on one side of an upright wall.
 HEAP = float(np.sqrt(2.0 * np.tan(np.radians(35.0))))
 ABOVE, RAMP = 0.02, 0.01
+# Where soil is looked for that has risen under a tool in the air: along from it, m, and across, in
+# half widths.
+UNDER_ALONG = tuple(np.linspace(-0.1, 0.1, 11).tolist())
+UNDER_ACROSS = (-0.8, -0.4, 0.0, 0.4, 0.8)
 STIR = 0.005
 BESIDE_RAMP = 0.05
 BELOW, BELOW_RAMP = 0.05, 0.03

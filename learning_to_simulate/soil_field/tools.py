@@ -71,7 +71,9 @@ class Tool(abc.ABC):
     columns: ClassVar[int]  # under the tool; 1 where it has no neighbours that it knows
     scalars: ClassVar[tuple[str, ...]]  # names of `values`
     bears: ClassVar[bool]  # whether its loads are shares of the force up
-    least_soil: ClassVar[float]  # over the floor that it was taught, m of the field
+    # Over the floor, and of the maps, that it was taught, m of the field.
+    least_soil: ClassVar[float]
+    largest_cell: ClassVar[float]
 
     def __post_init__(self):
         _check_positive(self, 'width', 'radius')
@@ -116,6 +118,7 @@ class Blade(Tool):
     columns = 5
     bears = False
     least_soil = 0.05
+    largest_cell = 0.04
     taught_widths: ClassVar = (0.15, 0.6)
     scalars = ('half_width', 'friction', 'radius', 'length', 'bucket', 'plates')
 
@@ -160,6 +163,7 @@ class Wheel(Tool):
     columns = 1
     bears = True
     least_soil = 0.008
+    largest_cell = 0.052
     RIM: ClassVar = 0.1  # m of the field
     scalars = ('half_width', 'friction', 'radius', 'lugs', 'lug_height', 'stress')
 

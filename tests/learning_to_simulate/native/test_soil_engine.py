@@ -367,6 +367,27 @@ def test_a_tool_faster_than_any_taught_feels_what_the_fastest_did():
     assert np.abs(np.subtract(*forces)).max() > 1e-3
 
 
+@pytest.mark.parametrize('ground', [flat, hills])
+@pytest.mark.parametrize('tool', TOOLS.values(), ids=TOOLS)
+def test_a_tool_that_is_clear_of_its_heap_is_in_the_air(tool, ground):
+    pair = both(ground(), tool)
+    (_, last), ends = drive(pair, path(30, 0.4)), []
+    for height in np.linspace(last.pose[1], 0.02 + 1.6 * tool.radius + 0.13, 25):
+        pose = np.array(last.pose)
+        pose[1] = height
+        frames = [one.step(pose, DT) for one in pair]
+        assert_frame(*frames)
+        ends.append(np.linalg.norm(frames[0].force))
+    assert ends[0] > 0 == ends[-1]
+    # As far as it knows what was cut, a heap might reach it.
+    passage = pair[1]._engine._passage
+    assert pair[1].field.networks.load_inputs(*passage.frame)[2].numpy().max() > 0
+    pose[2] += 0.05
+    frames = [one.step(pose, DT) for one in pair]
+    assert_frame(*frames)
+    assert frames[0].now.status == 'ok' and pair[1]._engine._passage is not passage
+
+
 def test_flags_word_for_word():
     place = dict(yaw=0.0, shift=(0.0, 0.0, 0.0))
     for name, value, message in (

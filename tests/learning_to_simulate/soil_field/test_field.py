@@ -109,3 +109,15 @@ def test_a_tool_faster_than_any_taught_feels_what_the_fastest_did():
 
     np.testing.assert_array_equal(loads(9.0), loads(most))
     assert np.abs(loads(most) - loads(0.2 * most)).max() > 0
+
+
+def test_maps_may_be_as_coarse_as_those_of_the_tool_that_was_taught():
+    # The smallest wheel of the data, of 50 mm, is 4 times smaller than that of the field, and its
+    # map has cells of 13 mm.
+    cells = {'blade': 0.02, 'wheel': 0.0128 / 0.25}
+    for tool, cell in cells.items():
+        field = worlds.training.make_field(worlds.CONFIG, tool, worlds.SMALL)
+        field.ranges = {name: [0.0, 1.0] for name in field.judged_names}
+        limits = field.limits
+        least, most = limits.limits[:, limits.names.index('cell')]
+        assert least <= 0 and cell < most < 2.1 * cell

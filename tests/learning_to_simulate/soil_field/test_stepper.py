@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from learning_to_simulate.soil_field import sweep
+from learning_to_simulate.soil_field import network, sweep
 from learning_to_simulate.soil_field.place import place_of, turned
 from learning_to_simulate.soil_field.stepper import SoilStepper
 from learning_to_simulate.soil_field.terrain import Terrain
@@ -114,6 +114,31 @@ def test_yaw_in_the_soil_is_flagged_and_free_in_the_air():
     yawed = np.append(down[:3], turned(down[3:], [0.0, 0.2, 0.0]))
     frame = tool.step(yawed, dt=DT)
     assert frame.status == 'extrapolating' and 'yaw' in frame.reason
+
+
+def test_a_tool_clear_of_its_heap_bears_nothing_and_goes_where_it_likes():
+    tool = stepper(engine='tensorflow')
+    driven(tool)
+    place, (u, _, lean) = tool.place, END
+    up = [u, worlds.TOOL.radius + worlds.HEAP + network.ABOVE + network.RAMP + 0.006, lean]
+    # As far as the network of the load knows, a heap may stand higher.
+    kappa = tool.field.networks.load_inputs
+    frame = tool.step(poses([up])[0], dt=0.5)
+    passage = tool._engine._passage
+    assert float(kappa(*passage.frame)[2].numpy().max()) == 1
+    assert not (frame.force.any() or frame.torque.any() or frame.spread.any())
+    assert frame.now.status == 'ok'
+    aside = tool.step(poses([up], shift=(0.0, 0.0, 0.04))[0], dt=0.5)
+    assert aside.now.status == 'ok' and tool.place is not place
+    # Within its heap it bears a load, and none of it comes at once.
+    low = stepper(engine='tensorflow')
+    driven(low)
+    shares = []
+    for height in np.linspace(0.0, up[1], 40):
+        low.step(poses([[u, height, lean]])[0], dt=0.5)
+        shares.append(low.field.contact(low._engine._passage))
+    assert shares[0] == 1 and shares[-1] == 0 and np.diff(shares).max() <= 0
+    assert ((np.array(shares) > 0) & (np.array(shares) < 1)).sum() >= 2
 
 
 def test_stiffness_is_what_the_force_answers():

@@ -160,6 +160,9 @@ float lts_soil_channel_at(const lts_soil *soil, int channel, int n_strip, int st
 
 /* lts_soil_load.c: loads [members][6] of a passage; whether any is not 0. */
 int lts_soil_find_loads(lts_soil *soil, const lts_passage *p, int members, float *out);
+/* Height of the lowest part of a tool in the newest frame; the share of the load that acts on it: (22). */
+double lts_soil_lowest_part(const lts_soil *soil);
+double lts_soil_contact(lts_soil *soil, const lts_passage *p);
 
 /* lts_soil_places.c: rise [n], or displacement [n][3], of a passage at places: u from the origin, height over the
  * level (of particles), across; m of the field. */

@@ -120,3 +120,43 @@ int lts_soil_find_loads(lts_soil *soil, const lts_passage *p, int members, float
   }
   return touches;
 }
+
+double lts_soil_lowest_part(const lts_soil *soil) {
+  const lts_soil_model *m = soil->model;
+  const float *s = soil->scalars[0];
+  const double bottom = (double)s[LTS_SOIL_HEIGHT] - (double)s[m->radius];
+  if (m->kind != LTS_SOIL_BLADE) return bottom;
+  /* A blade on its head hangs below its edge; its length follows the radius. */
+  return bottom + fmin((double)s[m->radius + 1] * cos((double)s[LTS_SOIL_LEAN]), 0.0);
+}
+
+static void place_under(const void *of, size_t k, double out[3]) {
+  const lts_soil *soil = of;
+  const lts_soil_model *m = soil->model;
+  const float *s = soil->scalars[0];
+  out[0] = s[LTS_SOIL_TIP] + m->under_along[k / LTS_SOIL_UNDER_ACROSS];
+  out[1] = 0.0;
+  out[2] = s[LTS_SOIL_OWN] * m->under_across[k % LTS_SOIL_UNDER_ACROSS];
+}
+
+double lts_soil_contact(lts_soil *soil, const lts_passage *p) {
+  const lts_soil_model *m = soil->model;
+  const int several = p->s.n_strip > 1, under = several ? m->n_beside : 0, count = several ? m->n_column : 1;
+  const double tip = soil->scalars[0][LTS_SOIL_TIP], reach = m->under_along[LTS_SOIL_UNDER_ALONG - 1];
+  const int begin = (int)fmax((tip - reach) / m->spacing + m->n_behind - 1.0, 0.0);
+  const int end = (int)fmin((tip + reach) / m->spacing + m->n_behind + 2.0, (double)m->n_bin);
+  float highest = -HUGE_VALF, risen[LTS_SOIL_UNDER_ALONG * LTS_SOIL_UNDER_ACROSS];
+  for (int k = begin; k < end; ++k) {
+    if (!(fabs(lts_soil_offset(m, k) - tip) < reach)) continue;
+    for (int j = under; j < under + count; ++j) {
+      highest = fmaxf(highest, soil->bins[LTS_SOIL_SURFACE][LTS_SOIL_ROW(soil, j) + (size_t)k]);
+    }
+  }
+  const double clearance = lts_soil_lowest_part(soil) - (double)highest;
+  if (clearance <= (double)m->above) return 1.0;
+  const size_t n = LTS_SOIL_UNDER_ALONG * LTS_SOIL_UNDER_ACROSS;
+  lts_soil_find(soil, p, 1, n, place_under, soil, risen);
+  float most = 0.0f;
+  for (size_t k = 0; k < n; ++k) most = fmaxf(most, risen[k]);
+  return fmin(fmax(((double)m->above - clearance + (double)most) / (double)m->ramp + 1.0, 0.0), 1.0);
+}

@@ -19,6 +19,8 @@ enum {
   LTS_SOIL_DISTURBED = 5, LTS_SOIL_BESIDE = 6
 };
 #define LTS_SOIL_CHANNELS 6
+#define LTS_SOIL_UNDER_ALONG 11 /* places at which soil is looked for that has risen under a tool in the air */
+#define LTS_SOIL_UNDER_ACROSS 5
 #define LTS_SOIL_CONDITIONS 7   /* the last of what is judged */
 #define LTS_SOIL_JUDGED_SPEED 3 /* the number of the speed among what is judged */
 
@@ -62,6 +64,7 @@ struct lts_soil_model {
   double see_reach;
   lts_table load, side, here, particle, tool;
   /* Load, (10) to (12). */
+  double under_along[11], under_across[5];
   float around[8];
   float heap, above, ramp, force, torque, full_width, gain_limit, unused_limit;
   /* Surface and particles, (13) to (15). */

@@ -42,10 +42,7 @@ static int find_ground(const lts_soil *soil, const lts_passage *p, double area, 
   found[1] = least - level;
   found[2] = most - level;
   found[3] = uneven;
-  /* A blade on its head hangs below its edge; its length follows the radius. */
-  double hangs = 0.0;
-  if (m->kind == LTS_SOIL_BLADE) hangs = fmin((double)s[m->radius + 1] * cos((double)s[LTS_SOIL_LEAN]), 0.0);
-  return bottom + hangs < fmax(lowest, level) + (double)m->above + (double)m->heap * sqrt(fmax(area, 0.0));
+  return lts_soil_lowest_part(soil) < fmax(lowest, level) + (double)m->above + (double)m->heap * sqrt(fmax(area, 0.0));
 }
 
 /* What no network sees: `CONDITIONS` of field.py. */
@@ -77,7 +74,8 @@ static void find_conditions(const lts_soil *soil, const lts_passage *p, const lt
 }
 
 /* Scalars, ground and conditions [n_judged]; in the air all is free but what the tool is. */
-static void find_judged(const lts_soil *soil, const lts_passage *p, const lts_pose *pose, double *values) {
+static void find_judged(const lts_soil *soil, const lts_passage *p, const lts_pose *pose, int in_air,
+                        double *values) {
   const lts_soil_model *m = soil->model;
   const int path[4] = {LTS_SOIL_LEAN, LTS_SOIL_AREA, LTS_SOIL_OWN + m->n_own, LTS_SOIL_SPEED};
   for (int i = 0; i < m->n_named; ++i) {
@@ -90,14 +88,14 @@ static void find_judged(const lts_soil *soil, const lts_passage *p, const lts_po
   }
   values[LTS_SOIL_JUDGED_SPEED] = (float)p->s.speed; /* of scalars at most what was taught */
   find_conditions(soil, p, pose, values + m->n_named + 4);
-  if (find_ground(soil, p, fmax(values[1], values[2]), values + m->n_named)) return;
+  if (find_ground(soil, p, fmax(values[1], values[2]), values + m->n_named) && !in_air) return;
   for (int i = 0; i < m->n_judged; ++i) {
     if (i < 4 || i >= m->n_named) values[i] = m->middle[i];
   }
 }
 
 /* Bits of all that is outside, and the first of them; or of what is not finite. */
-static int judge(const lts_soil *soil, const lts_passage *p, const lts_pose *pose, int is_finite,
+static int judge(const lts_soil *soil, const lts_passage *p, const lts_pose *pose, int in_air, int is_finite,
                  int frame, lts_judgement *found) {
   const lts_soil_model *m = soil->model;
   const int n = m->n_judged;
@@ -109,7 +107,7 @@ static int judge(const lts_soil *soil, const lts_passage *p, const lts_pose *pos
     *found = none;
     return LTS_NON_FINITE;
   }
-  find_judged(soil, p, pose, values);
+  find_judged(soil, p, pose, in_air, values);
   for (int i = 0; i < n; ++i) {
     const double *limits = m->limits + i;
     if (values[i] >= limits[0] && values[i] <= limits[n]) continue;
@@ -142,14 +140,14 @@ static void answer(lts_soil *soil, const lts_passage *p, const lts_pose *pose, c
                    int passage, lts_soil_result *out) {
   const int members = soil->members;
   double mean[6];
-  lts_soil_find_loads(soil, p, members, soil->loads);
+  const double share = lts_soil_find_loads(soil, p, members, soil->loads) ? lts_soil_contact(soil, p) : 1.0;
   int is_finite = 1;
   for (int i = 0; i < 6; ++i) {
     double sum = 0.0, square = 0.0;
-    for (int k = 0; k < members; ++k) sum += soil->loads[6 * k + i] * soil->units[i];
+    for (int k = 0; k < members; ++k) sum += soil->loads[6 * k + i] * soil->units[i] * share;
     mean[i] = sum / members;
     for (int k = 0; k < members; ++k) {
-      const double away = soil->loads[6 * k + i] * soil->units[i] - mean[i];
+      const double away = soil->loads[6 * k + i] * soil->units[i] * share - mean[i];
       square += away * away;
     }
     out->spread[i] = sqrt(square / members);
@@ -163,7 +161,7 @@ static void answer(lts_soil *soil, const lts_passage *p, const lts_pose *pose, c
                    : weights[0] * soil->units[0] + weights[1] * apart + weights[2] * size;
   lts_place_vector(&p->s.place, mean, out->force);
   lts_place_vector(&p->s.place, mean + 3, out->torque);
-  judge(soil, p, pose, is_finite, soil->frame, &out->now);
+  judge(soil, p, pose, share == 0.0, is_finite, soil->frame, &out->now);
   out->worst = before && rank(before) >= rank(&out->now) ? *before : out->now;
   out->status = out->worst.status;
   out->frame = soil->frame;
