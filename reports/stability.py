@@ -14,6 +14,7 @@ Examples:
         --output_path=docs/stability.json
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -151,7 +152,7 @@ def walked(case: Case, field, engine: str, most: int | None = None) -> dict:
     try:
         stepper = SoilStepper(field, ground, tool, engine=engine)
         frames.append(stepper.start(path[0]))
-        step = stepper.step
+        step: Callable = stepper.step
         if case.shape == 'two':
             other = SoilStepper(field, ground, tool, engine=engine)
             shift = np.array([0, 0, tool.width + 0.05 * s, 0, 0, 0, 0])

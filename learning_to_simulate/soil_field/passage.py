@@ -17,7 +17,7 @@ AHEAD, BELOW = 0.7, 0.2
 EVEN = 1e-3  # m of the field by which strips may differ and count as one
 # m of the field along the way in one frame: farther, cells would go by that no frame saw.
 MAX_STEP = sweep.WINDOW
-FACTOR = (0.5, 2.0)  # of (20)
+FACTOR = (0.5, 4.0)  # of (20)
 SET_DOWN = 0.05  # m of the field above all soil, from where a tool is set down
 
 
