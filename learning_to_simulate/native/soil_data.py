@@ -72,7 +72,7 @@ def values(field) -> dict:
         'even': passage.EVEN,
         'max_step': passage.MAX_STEP,
         'set_down': passage.SET_DOWN,
-        'factor': passage.FACTOR,
+        'factor': tool.factor,
         'slides': terrain.SLIDES,
         'slope_tolerance': terrain.SLOPE_TOLERANCE,
         'fastest': engine.FASTEST,

@@ -17,7 +17,6 @@ AHEAD, BELOW = 0.7, 0.2
 EVEN = 1e-3  # m of the field by which strips may differ and count as one
 # m of the field along the way in one frame: farther, cells would go by that no frame saw.
 MAX_STEP = sweep.WINDOW
-FACTOR = (0.5, 4.0)  # of (20)
 SET_DOWN = 0.05  # m of the field above all soil, from where a tool is set down
 
 
@@ -34,8 +33,9 @@ class Passage:
       carried      C = all that was cut - sum over d of r a / w - what was cut there         (19)
       rise         r = r' where r' < 0, else r' (sum |r'-| - sum over d of r) / sum r'+,     (20)
 
-    r' of the network and sums over cells in sight; the factor lies within `FACTOR`. What a chunk of
-    cells changes in C as it leaves comes in over the next `grid.chunk` bins of way.
+    r' of the network and sums over cells in sight; the factor lies within that of the
+    tool. What a chunk of cells changes in C as it leaves comes in over the next `grid.chunk` bins
+    of way.
 
     Args:
       terrain: is changed, if `rise` is given.
@@ -232,7 +232,8 @@ class Passage:
         if self._keeps_volume():
             up, down = (np.maximum(sign * rise, 0.0).sum() for sign in (1, -1))
             goal = down - self._left_behind / self._cell
-            rise = np.where(rise > 0, np.clip(goal / max(up, 1e-12), *FACTOR) * rise, rise)
+            factor = np.clip(goal / max(up, 1e-12), *self.tool.factor)
+            rise = np.where(rise > 0, factor * rise, rise)
         self.terrain.write(cells, before + self.scale * rise)
         self._left[:] = self.terrain.seen.ravel()[cells]
 

@@ -85,9 +85,9 @@ def test_recorded_run_saved_and_drawn_again(blade, tmp_path):
         if rollout.truth is not None:
             assert frames.soil_mm == pytest.approx(rollout.soil_mm, rel=1e-5)
         np.testing.assert_allclose(frames.force['prediction'][H:], rollout.force, atol=1e-4)
-    assert len(data.test) == 26 and data.test[-1].index == 25
-    with pytest.raises(IndexError, match='has 26 runs'):
-        data.test[26]
+    assert len(data.test) == 31 and data.test[-1].index == 30
+    with pytest.raises(IndexError, match='has 31 runs'):
+        data.test[31]
 
 
 def test_recorded_runs_of_a_split_are_opened_once_and_those_of_a_new_dataset_anew(
@@ -295,7 +295,7 @@ def test_what_is_printed_fits_on_a_line(blade):
     assert repr(rollout) == "<rollout 'rollout': 7 frames, ok>"
     assert repr(model) == f"<gns model {model.path!r} of the scene 'excavation'>"
     data = lts.Dataset('excavation')
-    assert repr(data) == f"<dataset {data.path!r}: {{'train': 59, 'valid': 14, 'test': 26}}>"
+    assert repr(data) == f"<dataset {data.path!r}: {{'train': 68, 'valid': 16, 'test': 31}}>"
 
 
 def test_public_names():

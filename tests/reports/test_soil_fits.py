@@ -31,7 +31,7 @@ def test_what_a_model_is_off_comes_from_runs_that_do_not_judge():
     """The constants are near those of the record, and no run that calibrates judges."""
     record = files.read_json(RECORD)
     free, given = (record['summary'][f'calibration{of}'] for of in ('', ', density given'))
-    assert pytest.approx((free['angle_rms_deg'], free['density_rms']), rel=0.35) == fit_soil.OFF
-    assert pytest.approx(given['angle_rms_deg'], rel=0.35) == fit_soil.OFF_GIVEN
+    assert pytest.approx((free['angle_rms_deg'], free['density_rms']), rel=0.05) == fit_soil.OFF
+    assert pytest.approx(given['angle_rms_deg'], rel=0.05) == fit_soil.OFF_GIVEN
     used, judged = ({row['name'] for row in record['fits'][of]} for of in ('calibration', 'single'))
     assert used and judged and not used & judged
