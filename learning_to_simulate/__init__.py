@@ -1,13 +1,8 @@
 """Simulator of soil moved by a rigid body: learned, in a subspace, in real time.
 
 A TensorFlow 2 system in the shape of DeepMind's `learning_to_simulate` (Sanchez-Gonzalez et al.,
-ICML 2020). The public names are loaded when they are first used, so that importing the package
-costs no import of TensorFlow.
-
-Letters used in every docstring: N soil particles, r modes, R rigid particles, V = R + r nodes,
-E edges, T frames, H = 6 input frames, D = 3 axes, B graphs in a batch, C context values, L latent
-width, M message-passing steps, S runs. Lengths in metres, forces in newtons; velocities and
-accelerations are per frame.
+ICML 2020). Public names are loaded when they are first used, so that importing the package costs
+no import of TensorFlow. The letters of docstrings, [T, V, D] and so on: `WORKSPACE.md`.
 """
 
 import importlib

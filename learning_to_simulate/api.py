@@ -14,12 +14,7 @@ from pca_tools.subspace import Subspace
 
 @dataclasses.dataclass(frozen=True)
 class Run:
-    """One recorded run of a dataset; `model.rollout` takes it.
-
-    Attributes:
-      split: it is part of.
-      index: its record.
-    """
+    """One recorded run of a dataset, number `index` of a `split`; `model.rollout` takes it."""
 
     split: 'Split'
     index: int
@@ -31,12 +26,8 @@ class Run:
 
 
 class Split(Sequence):
-    """The runs of one split; read when they are first asked for.
-
-    Attributes:
-      folder: of the dataset.
-      name: train, valid or test.
-    """
+    """The runs of one split (train, valid or test) of a dataset folder; read when first asked
+    for."""
 
     def __init__(self, folder: str, name: str):
         self.folder, self.name = folder, name
@@ -69,8 +60,7 @@ class Dataset:
       path: folder, or the name of a shipped one ('excavation', 'wheel').
 
     Attributes:
-      path: its folder.
-      metadata: its checked metadata.
+      metadata: checked.
       train, valid, test: its splits.
 
     Raises:
@@ -95,11 +85,8 @@ class Dataset:
 
 @dataclasses.dataclass(frozen=True)
 class Evaluation:
-    """Errors of a model on a split; prints as a table beside the trivial predictors.
-
-    Attributes:
-      summary: what `metrics.json` holds.
-    """
+    """Errors of a model on a split: `summary` is what `metrics.json` holds, `str` the table of it
+    beside the trivial predictors."""
 
     summary: dict
 
@@ -114,13 +101,9 @@ class Evaluation:
 
 
 class TrainedModel:
-    """A trained model from its folder; a `TerrainModel` where it is a soil field.
-
-    Args:
-      path: model folder.
+    """A trained model from its folder `path`; a `TerrainModel` where it is a soil field.
 
     Attributes:
-      path: its folder.
       model: `subspace_model.Model`, or what another method has.
 
     Raises:
@@ -128,7 +111,6 @@ class TrainedModel:
     """
 
     def __new__(cls, path: str):
-        """Of the class for its method."""
         is_field = cls is TrainedModel and registry.of_folder(path).on_terrain
         return super().__new__(TerrainModel if is_field else cls)
 
@@ -155,11 +137,8 @@ class TrainedModel:
 
     @property
     def starts(self):
-        """`live.starts.Starts`: beds, bodies and contexts to start from.
-
-        Raises:
-          FileNotFoundError: a folder from before models carried them; the message has the remedy.
-        """
+        """`live.starts.Starts`: beds, bodies and contexts to start from. FileNotFoundError of a
+        folder from before models carried them; ValueError of a model that is not stepped."""
         return self._from_rest()[0]
 
     @property
@@ -205,8 +184,8 @@ class TrainedModel:
           path: [T, 7] or [T, 3] poses of the body, one a frame (see `poses`): the body is at the
             first when the rollout starts, and the rollout has the T - 1 frames after it. Or a list
             of such paths; or a `Run` of a dataset.
-          velocity, case: of `Stepper.start`, for all paths; the velocity is by default that of the
-            first two poses.
+          velocity, case: of `Stepper.start`; the velocity is by default that of the first two
+            poses.
           context: likewise, or [T, C] where it changes in time.
 
         Returns:
@@ -243,7 +222,6 @@ class TrainedModel:
         return paths.of_recorded_run(group, rollout, self.scene, soils, f'rollout_{run.name}')
 
     def _decoder(self, split):
-        """Turns the modes of rollouts of a dataset into particles; None where it cannot be done."""
         from learning_to_simulate.live.soil import Decoder
 
         space = Dataset(split.folder).subspace
@@ -263,11 +241,8 @@ class TrainedModel:
         return self._newest[1]
 
     def evaluate(self, split: Split, progress=iter) -> Evaluation:
-        """Rolls out every run of a split.
-
-        Args:
-          split: such as `Dataset('excavation').test`.
-          progress: wraps the iterable of runs, e.g. `tqdm.tqdm`.
+        """Rolls out every run of a split, such as `Dataset('excavation').test`; `progress` wraps
+        the iterable of runs, e.g. `tqdm.tqdm`.
 
         Raises:
           FileNotFoundError, ValueError: no such split, or a dataset that the model does not fit.
@@ -276,17 +251,13 @@ class TrainedModel:
         return Evaluation(opened.evaluator.run(opened.groups, split.name, progress)[1])
 
     def export(self, path: str, data: Dataset, kind: str = 'savedmodel') -> dict:
-        """Writes a model that runs without this project; see `export`.
-
-        A soil field has the forms in C and as an FMU alone.
+        """Writes a model that runs without this project to a folder `path`, absent or empty, and
+        returns the description that is also in `export.json`.
 
         Args:
-          path: folder to write; absent or empty.
           data: gives runs to compare on.
-          kind: one of `exporting.FORMATS`: savedmodel, tflite (LiteRT), onnx, c, fmu.
-
-        Returns:
-          the description that is also in `export.json`.
+          kind: one of `exporting.FORMATS`: savedmodel, tflite (LiteRT), onnx, c, fmu; of a soil
+            field c or fmu.
 
         Raises:
           ValueError, OSError: as `exporting.export`.
@@ -359,8 +330,7 @@ class TerrainModel(TrainedModel):
           path: [T, 7] poses, one a frame; or [T, 3] of (x, height, angle), in the middle of the
             terrain; or a `Run` of a dataset, on its own bed.
           terrain: of a path: what it begins on; is changed.
-          tool: of a path; None for the usual one.
-          dt: of a path: s of a frame; None for 1/60.
+          tool, dt: of a path, s of a frame; None for the usual tool and 1/60.
           under_load: of a recorded run: whether its tool follows what moved it, not its path.
 
         Returns:
@@ -386,15 +356,7 @@ class TerrainModel(TrainedModel):
         return roll_out(stepper, [reader.read(p) for p in values], DT if dt is None else dt)
 
     def evaluate(self, split, progress=iter) -> Evaluation:
-        """Rolls out every run of a split, or of a list of splits of several datasets.
-
-        Args:
-          split: such as `Dataset('excavation').test`.
-          progress: wraps the iterable of runs, e.g. `tqdm.tqdm`.
-
-        Raises:
-          FileNotFoundError, ValueError: no such split, or a dataset that the model does not fit.
-        """
+        """As of `TrainedModel`, of a split or of a list of splits of several datasets."""
         splits = list(split) if isinstance(split, (list, tuple)) else [split]
         opened = self._of_splits(splits)
         return Evaluation(opened.evaluator.run(opened.groups, splits[0].name, progress)[1])
@@ -408,11 +370,8 @@ class TerrainModel(TrainedModel):
 
 
 def load(name: str) -> TrainedModel:
-    """A trained model.
-
-    Args:
-      name: a model folder, or a shipped model: 'excavation/pcg'; the name of a scene alone
-        ('excavation', 'wheel') means its soil field.
+    """The model of a folder, or a shipped one: 'excavation/pcg'; the name of a scene alone
+    ('excavation', 'wheel') means its soil field.
 
     Raises:
       FileNotFoundError: no such model; the message lists those that ship.
@@ -422,11 +381,8 @@ def load(name: str) -> TrainedModel:
 
 
 def preset(name: str, **fields):
-    """The settings of a preset with single fields replaced, by their flat names.
-
-    Raises:
-      ValueError: unknown preset or field, or a value outside its range.
-    """
+    """The settings of a preset with single fields replaced; ValueError for an unknown preset or
+    field, or a value outside its range."""
     return presets.make_config(name, **fields)
 
 

@@ -62,7 +62,6 @@ class Axes:
 
     @property
     def across(self) -> int:
-        """The third axis."""
         return 3 - self.axis - self.up
 
     @property
@@ -151,8 +150,8 @@ def wheel_pose(body: np.ndarray, axes: Axes):
 
 
 def hidden_height(body: np.ndarray, scene, history: int) -> np.ndarray:
-    """Bodies [S, T, R, D] as a method may see them: the height of a driven one is held from the
-    last given frame on, its shape and turn are kept."""
+    """Bodies [S, T, R, D] as a method may see them: of a driven one the height is held from the
+    last given frame on."""
     if scene.rigid_motion != RigidMotion.DRIVEN:
         return body
     centre = body[..., scene.up_axis].mean(axis=2)

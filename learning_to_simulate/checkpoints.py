@@ -34,12 +34,8 @@ _FIRST = (folder_lock.LOCK_NAME, START_FILE, SUBSPACE_FILE)
 
 
 def read_config(path: str) -> dict:
-    """Reads and checks config.json.
-
-    Raises:
-      FileNotFoundError: if the folder holds no model.
-      ValueError: if the file is of another kind or version.
-    """
+    """The checked config.json; FileNotFoundError if the folder holds no model, ValueError if the
+    file is of another kind or version."""
     name = os.path.join(path, CONFIG_FILE)
     if not os.path.isfile(name):
         raise FileNotFoundError(
@@ -87,8 +83,7 @@ def save_config(path: str, model, n_rigid: int, data: dict, files_beside=None) -
       model: with `simulator`, masks of its edges and `edge_counts()`.
       n_rigid: any R the model runs on; used to rebuild its variables.
       data: where the training data came from (path, digests), for the record.
-      files_beside: name -> sha256 of what else the model needs (`live.starts`); None where it
-        has nothing of that kind.
+      files_beside: name -> sha256 of what else the model needs (`live.starts`).
     """
     import tensorflow as tf
 
@@ -113,17 +108,13 @@ def save_config(path: str, model, n_rigid: int, data: dict, files_beside=None) -
 
 
 def _weights(simulator):
-    """Variables by a name that does not change between processes: their order and role."""
     named = enumerate(simulator.trainable_variables)
     return {f'{i:03d}.{v.name.split(":")[0]}': v for i, v in named}
 
 
 def save_weights(path: str, simulator) -> None:
-    """Writes the weights of a simulator to weights.npz, whole or not at all.
-
-    Raises:
-      ValueError: if a weight is not finite; an older file stays.
-    """
+    """Writes the weights of a simulator to weights.npz; ValueError if one is not finite: an older
+    file stays."""
     values = {name: variable.numpy() for name, variable in _weights(simulator).items()}
     if bad := [name for name, value in values.items() if not np.isfinite(value).all()]:
         raise ValueError(f'{path}: not saved, weights are not finite: {bad[:3]}')
@@ -131,16 +122,8 @@ def save_weights(path: str, simulator) -> None:
 
 
 def filled(path: str, make: Callable):
-    """A model with the weights of weights.npz.
-
-    Args:
-      path: model folder.
-      make: makes the model with all variables of its `simulator`.
-
-    Raises:
-      FileNotFoundError, ValueError: as `stored_weights` and `check_weights`; no variable is made
-        that the file does not hold.
-    """
+    """The model of `make`, with the weights of weights.npz; no variable is made that the file does
+    not hold. Raises as `stored_weights` and `check_weights`."""
     stored = stored_weights(path)
     with known_shapes.only((w.shape for w in stored.values()), os.path.join(path, WEIGHTS_FILE)):
         model = make()
@@ -152,11 +135,8 @@ def filled(path: str, make: Callable):
 
 
 def stored_weights(path: str) -> dict[str, np.ndarray]:
-    """The arrays of weights.npz, whatever they are of.
-
-    Raises:
-      FileNotFoundError, ValueError: no weights there, or weights that are not finite.
-    """
+    """The arrays of weights.npz; FileNotFoundError where there are none, ValueError where one is
+    not finite."""
     weights_path = os.path.join(path, WEIGHTS_FILE)
     if not os.path.isfile(weights_path):
         raise FileNotFoundError(
@@ -170,7 +150,7 @@ def stored_weights(path: str) -> dict[str, np.ndarray]:
 
 
 def check_weights(path: str, stored: dict[str, np.ndarray], shapes: dict[str, tuple]):
-    """The stored arrays; raises ValueError if they have other names or shapes than the model."""
+    """Raises ValueError if stored arrays have other names or shapes than the model."""
     found = {n: v.shape for n, v in stored.items()}
     if shapes != found:
         differing = sorted(n for n in shapes.keys() | found.keys() if shapes.get(n) != found.get(n))
@@ -202,11 +182,8 @@ def refuse_contradictions(model_path, config, overrides):
 
 
 def check_dataset(model_path, model, data_path, metadata):
-    """Refuses a dataset that a model does not fit.
-
-    Raises:
-      ValueError: other modes, another subspace, a force or context that one of them lacks.
-    """
+    """Raises ValueError for a dataset of other modes, of another subspace, or with a force or
+    context that only one of both has."""
     scene, config = model.simulator.scene, model.simulator.config
     found, first = metadata['mode_number'], getattr(config, 'modes', 0)
     if found < scene.n_modes or not first and found != scene.n_modes:
@@ -231,7 +208,6 @@ def check_dataset(model_path, model, data_path, metadata):
 
 
 def _subspace_digest(metadata):
-    """Which modes the records are scores of; None for folders that do not state it."""
     return metadata.get('pca', {}).get('digest')
 
 

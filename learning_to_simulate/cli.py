@@ -45,7 +45,6 @@ COMMANDS = {
 
 
 def main() -> None:
-    """Runs `lts COMMAND ...`."""
     name, *rest = sys.argv[1:] or ['--help']
     if name in ('-h', '--help', 'help'):
         print(__doc__)

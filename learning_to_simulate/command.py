@@ -15,12 +15,7 @@ _TRUTHS = {'true': True, '1': True, 'false': False, '0': False}
 
 
 def named_paths(flag: str, items: list[str], what: str) -> dict[str, str]:
-    """Name -> path of the values of a flag.
-
-    Args:
-      flag: its name, for the message.
-      items: NAME=PATH each.
-      what: kind of path, FILE or FOLDER.
+    """Name -> path of the values NAME=PATH of a flag; `what` the path is, FILE or FOLDER.
 
     Raises:
       ValueError: one without a name or a path, or a name that comes twice.
@@ -32,12 +27,7 @@ def named_paths(flag: str, items: list[str], what: str) -> dict[str, str]:
 
 
 def settings(items: list[str], types: dict[str, type], flag: str = 'set') -> dict:
-    """Name -> value of what a repeated flag gives.
-
-    Args:
-      items: NAME=VALUE each.
-      types: name -> type of every setting there is.
-      flag: its name, for messages.
+    """Name -> value of the values NAME=VALUE of a flag, by the type of every setting there is.
 
     Raises:
       ValueError: an unknown name, one that is given twice, or a value of another type.
@@ -57,14 +47,8 @@ def settings(items: list[str], types: dict[str, type], flag: str = 'set') -> dic
 
 
 def writable_folder(path: str) -> None:
-    """Tries whether results can be written into a folder, and leaves nothing behind.
-
-    Args:
-      path: folder; it need not exist.
-
-    Raises:
-      OSError: nothing can be written there.
-    """
+    """Tries whether results can be written into a folder, which need not exist, and leaves nothing
+    behind; OSError where not."""
     missing, above = [], os.path.abspath(path)
     while not os.path.exists(above):
         missing.append(above)

@@ -80,7 +80,7 @@ class Training(Settings):
 
     @property
     def single_steps(self) -> int:
-        """Training steps of the first stage."""
+        """Of the first stage."""
         return self.num_steps - getattr(self, 'unroll_steps', 0)
 
 
@@ -177,7 +177,7 @@ class TrainConfig(Training):
 
     @property
     def nodes(self) -> dict[str, int]:
-        """Which nodes of the records are used, as arguments of `reading_utils.read_groups`."""
+        """Arguments of `reading_utils.read_groups`."""
         return {name: getattr(self, name) for name in ('rigid_particles', 'modes')}
 
     @property
@@ -187,12 +187,10 @@ class TrainConfig(Training):
 
     @property
     def is_published(self) -> bool:
-        """Whether inputs, aggregation and loss are the published ones; see `style`."""
         return self.style == 'published'
 
     @property
     def has_graph(self) -> bool:
-        """Whether the network takes edges."""
         return self.model == GRAPH_NETWORK
 
 

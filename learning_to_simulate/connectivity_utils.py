@@ -15,16 +15,8 @@ from learning_to_simulate.scene import RigidMotion, Scene
 
 @dataclasses.dataclass(frozen=True)
 class Adjacency:
-    """Directed edges between V nodes.
-
-    Attributes:
-      senders, receivers: int32 [E].
-      n_node: V.
-
-    Raises:
-      ValueError: on construction, for an index outside [0, V), a repeated edge, or arrays of
-        unequal length.
-    """
+    """Directed edges `senders` -> `receivers`, int32 [E], between `n_node` = V nodes; ValueError
+    for an index outside [0, V), a repeated edge, or arrays of unequal length."""
 
     senders: np.ndarray
     receivers: np.ndarray
@@ -71,14 +63,10 @@ def fully_connected(n_node: int) -> Adjacency:
 def algorithm2(scene: Scene, n_rigid: int, mode_mask: np.ndarray) -> Adjacency:
     """The partial graph of Usmani & Skonieczny 2023, Algorithm 2.
 
-    modes -> modes as in `mode_mask` (the mode block of an NRI result, or of any other edge list);
-    rigid -> modes all; modes -> rigid only where the motion of the body is (at least in part)
-    predicted; rigid -> rigid along `scene.rigid_edges` only where all of it is predicted.
-
-    Args:
-      scene: says which motion is predicted and which rigid particles are neighbours.
-      n_rigid: R of this graph.
-      mode_mask: bool [r, r], entry [receiver, sender].
+    modes -> modes as in `mode_mask`, bool [r, r], entry [receiver, sender] (of an NRI result, or of
+    any other edge list); rigid -> modes all; modes -> rigid only where the motion of the body is
+    (at least in part) predicted; rigid -> rigid along `scene.rigid_edges` only where all of it is
+    predicted.
 
     Raises:
       ValueError: if the mask is not r x r, or a geometry edge names a rigid particle beyond R.
@@ -102,14 +90,11 @@ def algorithm2(scene: Scene, n_rigid: int, mode_mask: np.ndarray) -> Adjacency:
 
 
 def nearest_neighbour_edges(points, n_neighbours: int = 2) -> tuple[tuple[int, int], ...]:
-    """Directed edges to every rigid particle from its nearest others, for folders that state none.
+    """Directed edges to every rigid particle from its two nearest others, for folders that state
+    none; `points` are [R, D] of one frame, m.
 
     On a wheel of two rings these are the two neighbours on a particle's own ring, as in the thesis,
     unless the rings stand closer together than the particles of a ring.
-
-    Args:
-      points: [R, D] positions of one frame, m.
-      n_neighbours: edges per particle.
     """
     distance = np.linalg.norm(points[:, None] - points[None], axis=-1)
     np.fill_diagonal(distance, np.inf)
@@ -121,8 +106,7 @@ def mode_correlations(velocities) -> np.ndarray:
     """One-frame-lagged velocity correlation of every pair of modes.
 
     Args:
-      velocities: float [S, T, r, D] of the modes on training runs, m/frame; a list of such arrays
-        where runs differ in length.
+      velocities: [S, T, r, D] of the modes on training runs, m/frame, or a list of such arrays.
 
     Returns:
       float64 [r, r] in [0, 1], entry [receiver, sender]: how well the sender's velocity of one
@@ -138,20 +122,14 @@ def mode_correlations(velocities) -> np.ndarray:
 
 
 def rank_mode_edges(velocities, keep: int) -> np.ndarray:
-    """The `keep` mode -> mode edges with the strongest `mode_correlations`; self-edges come first.
-
-    Returns:
-      bool [r, r] mask, entry [receiver, sender].
-
-    Raises:
-      ValueError: if `keep` is negative or above r².
-    """
+    """bool [r, r], entry [receiver, sender]: the `keep` mode -> mode edges with the strongest
+    `mode_correlations`, self-edges first; ValueError if `keep` is negative or above r²."""
     return _best(mode_correlations(velocities), keep)
 
 
 def random_mode_edges(n_modes: int, keep: int, seed: int) -> np.ndarray:
-    """`keep` mode -> mode edges by lot, as `rank_mode_edges`: what a list that was found is to be
-    compared with."""
+    """`keep` edges by lot, as `rank_mode_edges`: what a list that was found is to be compared
+    with."""
     return _best(np.random.default_rng([seed, n_modes]).random((n_modes, n_modes)), keep)
 
 
@@ -171,8 +149,7 @@ def build(kind: str, scene: Scene, n_rigid: int, mode_mask=None, loaded_mask=Non
 
     Args:
       kind: `TrainConfig.adjacency`; 'fully_connected' and 'none' need no mask.
-      scene: the scene.
-      n_rigid: R.
+      scene, n_rigid: of the graph.
       mode_mask: bool [r, r], completed by Algorithm 2; or None.
       loaded_mask: bool [V, V] of a file, used as it is, if there is no `mode_mask`.
 

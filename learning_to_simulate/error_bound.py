@@ -21,7 +21,7 @@ LEAST = 3.0  # N: what any frame may be wrong by, however small all that is pred
 
 
 def bound(spreads, sizes, weights) -> np.ndarray:
-    """(1) [F] of spreads and sizes [F] and weights [3] of `calibrate`."""
+    """(1) [F] of spreads and sizes [F] and weights [3]."""
     return _signs(spreads, sizes) @ np.asarray(weights)
 
 
@@ -82,5 +82,4 @@ def _of_kind(scores):
 
 
 def _signs(spreads, sizes):
-    """[F, 3] of what an error grows with."""
     return np.stack([np.ones_like(spreads), spreads, sizes], axis=-1)

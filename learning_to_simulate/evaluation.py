@@ -37,11 +37,7 @@ def roll_out_all(roll_out, groups, progress=iter) -> list:
 
 class Evaluator:
     """Keeps the compiled rollouts of one model, so that evaluation during training compiles once.
-
-    Args:
-      model: the model.
-      metadata: of the dataset; its projection errors are used where it states them.
-    """
+    Projection errors are used where the `metadata` of the dataset state them."""
 
     def __init__(self, model: Model, metadata: dict):
         self._model, self._metadata = model, metadata
@@ -65,7 +61,7 @@ def summarise(results, model, metadata: dict, split: str) -> dict:
     """The metrics of rolled-out runs: per run, their mean, and those of the trivial predictors.
 
     Args:
-      results: of `roll_out_all`.
+      results: (record, one-run `RunGroup`, its `Rollout`).
       model: its scene and statistics are read, and the edges of its graphs.
       metadata: of the dataset; {} where the nodes of the groups are the solver's own particles.
       split: of the runs.
@@ -158,7 +154,6 @@ def _status_fields(rollout):
 
 
 def _summary(methods, truths, scene):
-    """Means over runs (timing: median) of each method."""
     mean = {}
     for name, rows in methods.items():
         keys = [k for k, v in rows[0].items() if isinstance(v, float)]
@@ -204,16 +199,15 @@ def total_force(force):
 def save_rollouts(
     path: str, split: str, results, summary: dict, metadata: dict, model_digest: str | None = None
 ) -> list[str]:
-    """Writes `rollout_{split}_{i}.npz` (DeepMind's key names) and `metrics.json`; returns the file
-    names.
+    """Writes `rollout_{split}_{i}.npz` (DeepMind's key names) and `metrics.json` into a folder,
+    made if absent; returns the file names.
 
     The files of an older evaluation of the split go when all new ones are complete. `metrics.json`
     goes first and comes last: where it lies, all rollouts beside it are of its evaluation.
 
     Args:
-      path: folder, made if absent; what else lies there stays.
-      split: of the runs.
-      results: of `roll_out_all`; without a group where the rollout knows the arrays of its file.
+      results: (record, one-run `RunGroup`, its `Rollout`); without a group where the rollout knows
+        the arrays of its file.
       summary: of `summarise`.
       metadata: of the dataset.
       model_digest: of `checkpoints.folder_digest`, kept in every file; None where there is none.
@@ -349,7 +343,6 @@ def _medians(summary):
 
 
 def _cell(mean, key):
-    """A figure of a method as text; of a load its three errors."""
     if f'{key}_rmse' in mean:
         size, share, peak = (
             '-' if mean.get(f'{key}_{name}') is None else f'{mean[f"{key}_{name}"]:.3g}'

@@ -4,16 +4,9 @@ import numpy as np
 
 
 def soil_mse(position, truth, n_rigid: int, n_soil: int):
-    """Mean squared error of the N soil particles within the subspace, per run, m².
-
-    Args:
-      position, truth: [S, T, V, D]; the modes follow the first `n_rigid` nodes.
-      n_rigid: R.
-      n_soil: N.
-
-    Returns:
-      float64 [S], sum of squared score errors / (D N), mean over frames (Haeri & Skonieczny 2021).
-    """
+    """Mean squared error of the N soil particles within the subspace, float64 [S], m²: sum of
+    squared score errors / (D N), mean over frames (Haeri & Skonieczny 2021). Of positions [S, T, V,
+    D], whose modes follow the first R nodes."""
     error = (position - truth)[:, :, n_rigid:]
     return (error**2).sum(axis=(2, 3)).mean(axis=1) / (truth.shape[-1] * n_soil)
 
@@ -32,17 +25,13 @@ def height_mm(position, truth, n_rigid: int, up: int):
 
 
 def force_errors(force, truth, name: str = 'force') -> dict[str, np.ndarray]:
-    """Errors of a force, or of another load, or of one axis of it, per run.
-
-    Args:
-      force, truth: [S, T, D], N; of a torque N m.
-      name: the first word of the errors.
+    """Errors of a force [S, T, D] (N; a torque N m), or of one axis of it, per run.
 
     Returns:
-      `force_relative_l2` = |F̂ - F| / |F| over all frames and axes; `force_rmse` in N per
-      component; `force_mpe` in percent: mean over frames of |F̂| against that of |F|, signed
-      (Usmani & Skonieczny 2023, Table 3.3); `force_peak`, the largest |F| of the run, and
-      `force_peak_error`, how far that of the prediction is from it, N.
+      with `name` as the first word: `_relative_l2` = |F̂ - F| / |F| over all frames and axes;
+      `_rmse` in N per component; `_mpe` in percent: mean over frames of |F̂| against that of |F|,
+      signed (Usmani & Skonieczny 2023, Table 3.3); `_peak`, the largest |F| of the run, and
+      `_peak_error`, how far that of the prediction is from it, N.
     """
     error = force - truth
     sizes = [np.linalg.norm(f, axis=-1) for f in (force, truth)]
@@ -61,11 +50,8 @@ def force_errors(force, truth, name: str = 'force') -> dict[str, np.ndarray]:
 
 
 def travel_axes(body, up: int) -> tuple[int, int, int]:
-    """The axis along the way of a body [T, R, 3], the upward one, and the one across.
-
-    The way is the horizontal axis along which the body's centre moves most; the first one, where
-    there is no body.
-    """
+    """The horizontal axis along which the centre of a body [T, R, 3] moves most (the first one,
+    where there is no body), the upward one, and the one across."""
     moved = np.ptp(body.mean(axis=1), axis=0) if body.shape[1] else np.zeros(3)
     along, across = sorted((a for a in range(3) if a != up), key=lambda axis: (-moved[axis], axis))
     return along, up, across

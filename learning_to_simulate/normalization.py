@@ -40,18 +40,14 @@ class Arrays:
 
     @classmethod
     def from_json(cls, values: dict) -> Self:
-        """Rebuilds the arrays of `to_json`."""
         return cls(
             **{k: None if v is None else np.asarray(v, np.float64) for k, v in values.items()}
         )
 
     def check_arrays(self, sizes: dict[str, int], present: dict[str, bool]) -> None:
-        """Raises ValueError where an array is missing, of another shape, infinite or of no use.
-
-        Args:
-          sizes: letter of a shape -> its size.
-          present: first word of a name -> whether the scene has that part.
-        """
+        """Raises ValueError where an array is missing, of another shape, infinite or of no use;
+        `sizes` are of the letters of shapes, `present` says of first words of names whether the
+        scene has them."""
         for field in dataclasses.fields(self):
             value, name = getattr(self, field.name), f'statistics.{field.name}'
             wanted = present.get(field.name.split('_')[0])
@@ -157,8 +153,8 @@ def compute_statistics(groups, metadata, scene: Scene, config: TrainConfig) -> S
 
     Args:
       groups: list of `RunGroup`; the last r nodes are modes.
-      metadata: validated metadata; the published presets take their statistics from it.
-      scene: the scene.
+      metadata: validated; the published presets take their statistics from it.
+      scene: of the runs.
       config: decides the family.
 
     Raises:

@@ -99,11 +99,7 @@ PRESETS: dict[str, Any] = _OF_NETWORKS | soil_field_settings.PRESETS | _RIDGES
 
 def preset_of_model(model: str | None) -> str:
     """The preset that is meant where only a model is named: `pcg` for gns or none, else that of
-    its name.
-
-    Raises:
-      ValueError: unknown model.
-    """
+    its name; ValueError for an unknown one."""
     name = 'pcg' if model in (None, GRAPH_NETWORK) else model
     if name not in PRESETS or PRESETS[name].model != (model or GRAPH_NETWORK):
         models = dict.fromkeys(preset.model for preset in PRESETS.values())
@@ -119,9 +115,6 @@ def setting_types() -> dict[str, type]:
 
 def make_config(preset: str, **overrides):
     """The settings of a preset with single fields replaced; None means 'not given'.
-
-    Returns:
-      a `TrainConfig`, or the settings of the preset's method.
 
     Raises:
       ValueError: unknown preset, model or field, a model that the preset is none of, or a value

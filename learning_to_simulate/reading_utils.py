@@ -54,7 +54,6 @@ class RunGroup:
 
     @property
     def context_changes(self) -> bool:
-        """Whether the context is given by frame."""
         return self.context is not None and self.context.ndim == 3
 
     def context_at(self, frame: int, run: int | None = None) -> np.ndarray | None:
@@ -68,7 +67,6 @@ class RunGroup:
         return 0 if self.left_modes is None else self.left_modes.shape[2]
 
     def select(self, run: int) -> 'RunGroup':
-        """The group of one of its runs."""
         return self.take([run])
 
     def take(self, runs) -> 'RunGroup':
@@ -83,23 +81,16 @@ class RunGroup:
         return dataclasses.replace(self, **parts)
 
     def with_left_modes(self, position, as_recorded: bool = False) -> np.ndarray:
-        """Puts the modes that are no nodes behind the nodes.
-
-        Args:
-          position: [S, T', V, D], predicted or true last T' frames.
-          as_recorded: their recorded scores; else 0, which is what a prediction says of them.
-        """
+        """Puts the modes that are no nodes behind the nodes of predicted or true last T' frames
+        [S, T', V, D]: as recorded, or as 0, which is what a prediction says of them."""
         if self.left_modes is None:
             return position
         left = self.left_modes[:, -position.shape[1] :]
         return np.concatenate([position, left if as_recorded else np.zeros_like(left)], axis=2)
 
     def all_particles(self, position, as_recorded: bool = False) -> list[np.ndarray]:
-        """Puts the rigid particles and modes that are not nodes back, for writing.
-
-        Args:
-          position: [S, T', V, D], predicted or true last T' frames.
-          as_recorded: see `with_left_modes`.
+        """Puts the rigid particles and modes that are not nodes back, for writing; arguments as of
+        `with_left_modes`.
 
         Returns:
           per run [T', V', D] with all rigid particles and modes of the record; those of the body
@@ -129,9 +120,7 @@ def read_groups(
     """Reads a split as groups of equal R and T, sorted by R.
 
     Args:
-      folder: dataset folder.
-      split: train, valid or test.
-      metadata: its validated metadata.
+      folder, split, metadata: of the dataset.
       rigid_particles: at most this many particles of each body with prescribed motion become
         nodes, the lowest ones of the first frame; 0 keeps all.
       modes: number of first modes that become nodes; 0 keeps all.
@@ -212,17 +201,8 @@ def context_of(runs) -> np.ndarray | None:
 def read_scene(
     folder: str, metadata: dict, groups: list[RunGroup], rigid_motion: str | None
 ) -> Scene:
-    """The scene of a dataset; what its metadata does not state is taken from the records.
-
-    Args:
-      folder: dataset folder.
-      metadata: its validated metadata.
-      groups: runs of any split.
-      rigid_motion: override, or None.
-
-    Raises:
-      ValueError: as `Scene.from_metadata`.
-    """
+    """The scene of a dataset; what its metadata does not state is taken from the `groups` of any
+    split, and `rigid_motion` overrides it. Raises ValueError as `Scene.from_metadata`."""
     first = groups[0]
     scene = Scene.from_metadata(
         metadata,
@@ -243,7 +223,7 @@ def read_scene(
 
 
 def _soil_particles_of_eigenvalues(folder):
-    """N from the authors' eigenvalue file, which holds one eigenvalue per particle."""
+    """N from the authors' file, which holds one eigenvalue per particle."""
     path = os.path.join(folder, 'pca_eigen_values.pkl')
     if not os.path.exists(path):
         raise ValueError(

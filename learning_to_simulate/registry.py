@@ -38,7 +38,6 @@ class Method:
         return self.code == _SUBSPACE
 
     def check_raw_path(self, raw_path: str | None) -> None:
-        """Raises ValueError where raw runs are given to a method that takes records."""
         if raw_path and not self.takes_raw_runs:
             names = [name for name, method in METHODS.items() if method.takes_raw_runs]
             raise ValueError(
@@ -46,7 +45,6 @@ class Method:
             )
 
     def load_code(self) -> ModuleType:
-        """The module with its functions; TensorFlow is imported without its start-up lines."""
         command.import_tensorflow()
         return importlib.import_module(self.code)
 
@@ -137,11 +135,8 @@ def open_model(
 
 
 def of_folder(model_path: str) -> Method:
-    """The method of a model folder.
-
-    Raises:
-      FileNotFoundError, ValueError: no model there, or one of a method that does not exist.
-    """
+    """The method of a model folder; FileNotFoundError, ValueError: no model there, or one of a
+    method that does not exist."""
     config = checkpoints.read_config(model_path).get('config')
     name = config.get('model', 'gns') if isinstance(config, dict) else None
     if name not in METHODS:

@@ -46,19 +46,10 @@ _DPI = {'png': 200, 'gif': 100, 'mp4': 150}
 
 
 def draw(rollout, path: str, step_stride: int = 3, **options) -> list[str]:
-    """Draws a rollout of `lts.load(...).rollout`; the ending of the path decides how.
-
-    Args:
-        rollout: `paths.SoilRollout`.
-        path: file to write, .png, .gif or .mp4.
-        step_stride: draw every step_stride-th frame.
-        **options: `color_by` and `plane` of `render`.
-
-    Returns:
-        The files written.
+    """Draws a `paths.SoilRollout` into a file .png, .gif or .mp4, every step_stride-th frame.
 
     Raises:
-        ValueError: another ending, or as `render_frames`.
+        ValueError: another ending, or as `render_frames`, whose `color_by` and `plane` are taken.
     """
     target, kind = target_and_format(path)
     frames = rollout_frames.of_rollout(rollout, step_stride)
@@ -66,17 +57,9 @@ def draw(rollout, path: str, step_stride: int = 3, **options) -> list[str]:
 
 
 def draw_terrain(arrays, path: str, name: str, **options) -> None:
-    """Draws a rollout on a terrain; the ending of the path decides how.
-
-    Args:
-        arrays: of `soil_field.rollout.TerrainRollout`.
-        path: file to write, .png, .gif or .mp4.
-        name: of the run.
-        **options: of `terrain_views.draw`.
-
-    Raises:
-        ValueError: another ending, or a package for pictures is missing.
-    """
+    """Draws the arrays of a `soil_field.rollout.TerrainRollout` of a name into a file .png, .gif or
+    .mp4; options of `terrain_views.draw`. ValueError: another ending, or a package for pictures is
+    missing."""
     _, kind = target_and_format(path)
     try:
         from learning_to_simulate.rendering import terrain_views
@@ -86,11 +69,8 @@ def draw_terrain(arrays, path: str, name: str, **options) -> None:
 
 
 def target_and_format(path: str) -> tuple[str, str]:
-    """A picture's path without its ending, and the format that the ending names.
-
-    Raises:
-        ValueError: another ending.
-    """
+    """A picture's path without its ending, and the format that the ending names; ValueError for
+    another."""
     target, ending = os.path.splitext(path)
     if ending not in ('.png', '.gif', '.mp4'):
         raise ValueError(f'{path}: must end in .png, .gif or .mp4')
@@ -148,7 +128,7 @@ def render_frames(
     progress: Callable = lambda frames, label: frames,
     beside: Sequence[RolloutFrames] = (),
 ) -> list[str]:
-    """Draws a rollout that is in memory.
+    """Draws a rollout that is in memory; returns the files written.
 
     Args:
         frames: the rollout.
@@ -158,11 +138,8 @@ def render_frames(
         color_by: `speed` (mm/s) or `error` (mm).
         plane: horizontal and vertical axis, a key of `rollout_frames.PLANES`; None for the view
             from the side, with the scene's upward axis up.
-        progress: wraps the frames of a movie, called with them and a label (for a progress bar).
+        progress: wraps the frames of a movie, called with them and a label.
         beside: other rollouts of the same run.
-
-    Returns:
-        The files written.
 
     Raises:
         ValueError: errors are asked for where there is no truth, or a package for pictures is
@@ -200,7 +177,6 @@ def render_frames(
 
 
 def define_flags() -> None:
-    """Defines the flags of the command."""
     flags.DEFINE_string(
         'rollout_path',
         None,
@@ -248,7 +224,6 @@ def _render_terrain(values):
 
 
 def run(values) -> None:
-    """Runs the command with its flags."""
     command.writable_folder(values.output_path)
     if _is_on_terrain(values.rollout_path):
         return _render_terrain(values)

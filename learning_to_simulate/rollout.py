@@ -24,7 +24,7 @@ class Rollout(NamedTuple):
     Attributes:
       position: float64 [S, T - H, V, D], m.
       force: float32 [S, T - H, D], N, or None.
-      judgements: per run, its `RolloutStatus` and where that begins.
+      judgements: per run.
       seconds: wall time of the compiled loop (after compilation), materialised results included.
     """
 
@@ -35,21 +35,12 @@ class Rollout(NamedTuple):
 
     @property
     def status(self) -> list[RolloutStatus]:
-        """The status of each run."""
         return [judgement.status for judgement in self.judgements]
 
 
 def corrected_step(simulator, layout: Layout, state: SimulatorState, known, context, correction):
-    """One frame, a predicted body kept rigid.
-
-    Args:
-      simulator, layout: of the model.
-      state, known, context: of `LearnedSimulator.step`.
-      correction: `rigid_body.Correction`, or None for none.
-
-    Returns:
-      the next `SimulatorState` and force [B, F] or None.
-    """
+    """One frame of `LearnedSimulator.step`, a predicted body kept rigid by a
+    `rigid_body.Correction` (None for none): the next `SimulatorState`, and force [B, F] or None."""
     after, force = simulator.step(state, known, context, layout)
     if correction is None:
         return after, force
@@ -63,14 +54,8 @@ def corrected_step(simulator, layout: Layout, state: SimulatorState, known, cont
 
 
 class RolloutFunction:
-    """A compiled rollout of B graphs over a fixed number of frames.
-
-    Args:
-      simulator: the model; its variables are read anew in every call.
-      layout: of the graphs.
-      rigid_correction: whether predicted bodies are kept rigid; has no effect where the motion is
-        given.
-    """
+    """A compiled rollout of B graphs of a layout over a fixed number of frames; variables are read
+    anew in every call."""
 
     def __init__(self, simulator: LearnedSimulator, layout: Layout, rigid_correction: bool = True):
         self.simulator, self.layout = simulator, layout
@@ -85,7 +70,6 @@ class RolloutFunction:
           state: after the first H frames.
           known: `KnownMotion` with a leading frame axis [n_frame, B, ...], or None.
           context: float32 [B, C], or [n_frame, B, C] where it changes in time, or None.
-          n_frame: number of frames.
 
         Returns:
           offsets float32 [n_frame, B, V, D] and forces float32 [n_frame, B, F] or None.
@@ -119,8 +103,7 @@ class RolloutFunction:
 
 
 def rollout_inputs(group, layout: Layout, scene):
-    """The inputs of a `RolloutFunction` for all runs of a group: state, known motion, context,
-    frames."""
+    """Arguments of a `RolloutFunction` for all runs of a group."""
     h = INPUT_SEQUENCE_LENGTH
     offset, velocity = group.position - layout.origin, group.velocity
     state = initial_state(offset[:, :h], velocity[:, 1:h])

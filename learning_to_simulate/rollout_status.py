@@ -52,7 +52,6 @@ class Judgement(NamedTuple):
     """The status of a frame or of a run.
 
     Attributes:
-      status: `RolloutStatus`.
       frame: index of the first frame in which it holds; -1 where the status is OK.
       node: index of a node in which it holds there; -1 for the force, the context, or the body as
         a whole.
@@ -93,8 +92,7 @@ class Ranges(NamedTuple):
     """Ranges of J named numbers over the training runs.
 
     Attributes:
-      names: of the numbers.
-      low, high: float64 [J] ranges.
+      low, high: float64 [J].
       limits: float64 [2, J] least and most that is not outside: somewhat wider.
     """
 
@@ -267,11 +265,7 @@ def judge(group, position, force, statistics, scene) -> list[Judgement]:
       group: `RunGroup` of S runs, whose first H frames, body and context were the inputs.
       position: float64 [S, T - H, V, D], the predicted frames.
       force: [S, T - H, F], or None.
-      statistics: of the training runs.
-      scene: says what of the body's motion is given.
-
-    Returns:
-      S judgements.
+      statistics, scene: of the training runs.
     """
     ranges = NodeRanges(group.n_rigid, statistics, scene)
     return [

@@ -80,8 +80,8 @@ class Scene:
 
         Args:
           metadata: dict as `pca_tools.dataset.read_metadata` returns it.
-          rigid_particle_type: particle type of the first node of the records; decides the rigid
-            motion of folders that carry no scene (3, kinematic: prescribed; other: predicted).
+          rigid_particle_type: of the first node of the records; decides the rigid motion of folders
+            that carry no scene (3, kinematic: prescribed; other: predicted).
           rigid_motion: overrides the motion, e.g. 'driven' for the authors' wheel or 'predicted'
             for the published way.
 
@@ -127,11 +127,7 @@ class Scene:
         )
 
     def check_one_body(self, what: str) -> None:
-        """Refuses several bodies, which `what` does not know.
-
-        Raises:
-          ValueError: with what does.
-        """
+        """Raises ValueError for several bodies, which `what` does not know."""
         if self.bodies:
             raise ValueError(
                 f'the scene has the bodies {[name for name, _ in self.bodies]}; {what} knows one. '
@@ -140,16 +136,12 @@ class Scene:
             )
 
     def to_json(self) -> dict:
-        """The scene as JSON-able values; `from_json` is the inverse."""
         return dataclasses.asdict(self) | {'rigid_motion': str(self.rigid_motion)}
 
     @classmethod
     def from_json(cls, values: dict) -> 'Scene':
-        """Rebuilds a scene from `to_json`.
-
-        Raises:
-          KeyError, TypeError, ValueError: a field is missing, unknown or wrong.
-        """
+        """Rebuilds a scene from `to_json`; KeyError, TypeError or ValueError where a field is
+        missing, unknown or wrong."""
         scene = cls(
             **values
             | {

@@ -20,21 +20,14 @@ _REMEDIES = {
 
 
 def folder(kind: str) -> str:
-    """Where what ships lies: in the package if it is installed, beside it in the source tree.
-
-    Args:
-      kind: 'models' or 'datasets'.
-    """
+    """Where what ships ('models' or 'datasets') lies: in the package if it is installed, beside it
+    in the source tree."""
     installed = os.path.isdir(os.path.join(_PACKAGE, 'models'))
     return os.path.join(_PACKAGE if installed else os.path.dirname(_PACKAGE), kind)
 
 
 def names(kind: str = 'models') -> list[str]:
-    """The names of what ships, such as 'excavation/soil_field'; sorted.
-
-    Args:
-      kind: 'models' or 'datasets'.
-    """
+    """The names of what ships, such as 'excavation/soil_field'; sorted."""
     top = folder(kind)
     return sorted(
         os.path.relpath(path, top).replace(os.sep, '/')
@@ -44,15 +37,9 @@ def names(kind: str = 'models') -> list[str]:
 
 
 def find(name: str, kind: str) -> str:
-    """A folder that is given by its path, or by its name among those that ship.
-
-    Args:
-      name: path or name; the name of a scene stands for its best model.
-      kind: 'models' or 'datasets'.
-
-    Raises:
-      FileNotFoundError: neither; the message lists what ships, or says where to get it.
-    """
+    """A folder that is given by its path, or by its name among those that ship; the name of a scene
+    stands for its best model. FileNotFoundError: neither; the message lists what ships, or says
+    where to get it."""
     name, top = os.fspath(name), folder(kind)
     deeper: Sequence[str] = DEFAULT_MODELS if kind == 'models' else ()
     for path in (name, *(os.path.join(top, name, part) for part in ('', *deeper))):

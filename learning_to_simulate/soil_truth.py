@@ -39,8 +39,7 @@ class SoilTruth:
       space: PARTICLES, WITH_CUT_OFF or SUBSPACE.
       cut_off: m2, what is added to mean squares of whole runs: 0 but for WITH_CUT_OFF.
       count: particles that squared errors are divided by: P, or N of mode scores.
-      components: float64 [P, r], and
-      mean: float64 [P, 3] or a number, decode modes; None of mode scores.
+      components, mean: float64 [P, r] and [P, 3] (or a number) decode modes; None of mode scores.
     """
 
     frames: np.ndarray
@@ -62,20 +61,13 @@ class SoilTruth:
         return np.pad(modes, ((0, 0), (0, left), (0, 0)))
 
     def of_modes(self, modes) -> np.ndarray:
-        """Predicted particles [F, P, 3], m, of the scores [T - H, r', 3] of all predicted frames;
-        those of the first F' where the prediction ends there."""
+        """Predicted particles, as far as the prediction goes, of its scores [T' - H, r', 3]."""
         return self.decode(modes[self.frames[self.frames < H + len(modes)] - H])
 
     def of_particles(self, stored, frames, indices) -> np.ndarray:
-        """Predicted particles [F, P, 3], m, of those that a method wrote.
-
-        Args:
-          stored: [F', P', 3], m.
-          frames, indices: int [F'] and [P'], which they are.
-
-        Raises:
-          ValueError: arrays that do not fit each other, or that lack frames or particles.
-        """
+        """Predicted particles [F, P, 3] of those [F', P', 3], m, that a method wrote, in frames int
+        [F'] and of indices int [P']; ValueError where they do not fit each other, or lack frames or
+        particles."""
         stored, asked = np.asarray(stored, np.float64), (self.frames, self.indices)
         if stored.shape[:2] != (len(frames), len(indices)):
             raise ValueError(
@@ -111,14 +103,8 @@ class SoilTruth:
 
 
 class TruthReader:
-    """Reads the soil of the runs of a dataset.
-
-    Args:
-      folder: dataset folder; '' where there are records alone.
-      metadata: of it; read where it is not given.
-
-    Attributes:
-      subspace: of the records, or None where the folder has none.
+    """Reads the soil of the runs of a dataset folder; '' where there are records alone. `subspace`
+    is that of the records, or None where the folder has none.
 
     Raises:
       FileNotFoundError, ValueError: no dataset, or a damaged or foreign file.

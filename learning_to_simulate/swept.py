@@ -58,11 +58,8 @@ class SweptGrid:
         return self.spacing * np.arange(-first, int(np.floor(self.ahead / self.spacing)) + 1)
 
     def check_within(self, offset, radius) -> None:
-        """Refuses tools [B] of some radius (m) at offsets (m) from their first positions.
-
-        Raises:
-          ValueError: one reaches beyond the bins.
-        """
+        """Raises ValueError where one of B tools of some radius (m) at offsets [B] (m) from their
+        first positions reaches beyond the bins."""
         low, high = self.offsets[[0, -1]]
         outside = (offset - radius < low) | (offset + radius > high)
         if outside.any():
@@ -101,7 +98,6 @@ class SweptBed(NamedTuple):
 
     @property
     def tip(self) -> np.ndarray:
-        """u [B] of the centre, m."""
         return self.position[:, 0]
 
 
@@ -109,7 +105,6 @@ def start(grid: SweptGrid, position, surface) -> SweptBed:
     """The state before any motion: the circle has been where it is now.
 
     Args:
-      grid: the bins.
       position: [B, 2] first u and y of the centre, m.
       surface: height of the bed, m: a number, or [B, n] at `position[:, :1] + grid.offsets`.
 
@@ -138,13 +133,7 @@ def start(grid: SweptGrid, position, surface) -> SweptBed:
 
 
 def advance(grid: SweptGrid, state: SweptBed, position, dt) -> SweptBed:
-    """Moves the tools in a straight line to their next positions.
-
-    Args:
-      grid: the bins of `start`.
-      state: before the frame; it is not changed.
-      position: [B, 2] next u and y of the centre, m.
-      dt: duration of the frame, s.
+    """The state after the tools have gone straight to their next positions [B, 2], m, within dt s.
 
     Raises:
       ValueError: a time that does not pass; a position that is not finite, or whose underside
@@ -163,11 +152,8 @@ def check_time(dt) -> None:
 
 
 def checked(name: str, values, shape) -> np.ndarray:
-    """float64 values of a shape, None for any length.
-
-    Raises:
-      ValueError: another shape, or values that are not finite.
-    """
+    """float64 values of a shape, None for any length; ValueError for another shape, or values that
+    are not finite."""
     values = np.asarray(values, np.float64)
     if values.ndim != len(shape) or any(n not in (None, m) for n, m in zip(shape, values.shape)):
         wanted = ', '.join('B' if n is None else str(n) for n in shape)

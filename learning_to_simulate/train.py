@@ -119,11 +119,8 @@ _FLAGS = [
 
 
 def _overrides() -> dict:
-    """Settings that the command line gives: by a file, by --set, by a flag of their own.
-
-    Raises:
-      ValueError: a setting that does not exist, is given twice, or is of another type.
-    """
+    """Settings that the command line gives: by a file, by --set, by a flag of their own; ValueError
+    for one that does not exist, is given twice, or is of another type."""
     found = {}
     if _CONFIG.value:
         values = files.read_json(_CONFIG.value)
@@ -144,7 +141,6 @@ def _overrides() -> dict:
 
 
 def _open(overrides) -> registry.OpenedModel:
-    """The trained model and the runs of the split."""
     opened = registry.open_model(
         _MODEL_PATH.value, _DATA_PATH.value, _EVAL_SPLIT.value, overrides, raw_path=_RAW_PATH.value
     )

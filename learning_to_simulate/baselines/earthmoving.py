@@ -42,22 +42,14 @@ class BladeSoil:
 
 
 def factors(rake, friction_angle, wall_angle, beta, depth_over_width):
-    """N_gamma and N_q (dimensionless) of a wedge with side crescents at the failure plane beta.
+    """N_gamma and N_q (dimensionless) of a wedge with side crescents at the failure plane beta;
+    both infinite where no plane forms. Angles in rad: rake of the face and beta to the horizontal,
+    phi, delta.
 
     P cos(rake + delta) + R cos(beta + phi) = W and the horizontal balance give
     P = W / (cos(rake + delta) + sin(rake + delta) cot(beta + phi)). The wedge reaches
     d (cot rake + cot beta) along the surface and the crescents s = d sqrt(cot2 beta + 2 cot rake
-    cot beta) to the sides.
-
-    Args:
-      rake: angle of the face to the horizontal, rad.
-      friction_angle, wall_angle: phi and delta, rad.
-      beta: failure plane to the horizontal, rad.
-      depth_over_width: d / w.
-
-    Returns:
-      N_gamma, with P = gamma d2 w N_gamma for the wedge and its crescents, and N_q = d P / d W / w:
-      the force per weight of surcharge on the wedge is N_q; both infinite where no plane forms.
+    cot beta) to the sides. So P = gamma d2 w N_gamma, and the force per weight of surcharge is N_q.
     """
     cot_beta, cot_rake = 1.0 / np.tan(beta), 1.0 / np.tan(rake)
     lever = np.cos(rake + wall_angle) + np.sin(rake + wall_angle) / np.tan(beta + friction_angle)

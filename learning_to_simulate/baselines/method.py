@@ -37,12 +37,8 @@ ARRAYS_FILE = 'path_ridge.npz'
 
 @dataclasses.dataclass
 class RidgeModel:
-    """A fitted regression as evaluations take it.
-
-    Attributes:
-      simulator: its `config`, `scene` and `statistics` (the ranges that rollouts are judged by).
-      method: the regression.
-    """
+    """A fitted regression as evaluations take it; its `simulator` has `config`, `scene` and
+    `statistics` (the ranges that rollouts are judged by)."""
 
     simulator: SimpleNamespace
     method: path_ridge.PathRidge
@@ -57,7 +53,6 @@ class RidgeEvaluator(evaluation.Evaluator):
     """Rollouts of a `RidgeModel`."""
 
     def roll_out(self, group) -> Rollout:
-        """`Rollout` of one `RunGroup`."""
         simulator, start = self._model.simulator, time.perf_counter()
         predicted = self._model.method.predict(group)  # type: ignore[attr-defined]
         seconds = time.perf_counter() - start
@@ -83,18 +78,8 @@ class RidgeEvaluator(evaluation.Evaluator):
 
 
 def fit(config: PathRidgeConfig, data_path: str, metadata: dict, train_groups, valid_groups, scene):
-    """The regression of a config, fitted to the runs of a dataset.
-
-    Args:
-      config: how.
-      data_path: dataset folder; its subspace holds the resting bed.
-      metadata: of the dataset.
-      train_groups, valid_groups: lists of `RunGroup`; valid chooses what the ridge is like.
-      scene: of the dataset.
-
-    Raises:
-      ValueError: a scene that the method does not fit.
-    """
+    """The regression of a config, fitted to the runs of a dataset folder, whose subspace holds the
+    resting bed; the valid runs choose. ValueError for a scene that the method does not fit."""
     scene.check_one_body(f'the method {config.model}')
     bodies = train_groups[0].position[:, :, : train_groups[0].n_rigid]
     if not bodies.shape[2]:
@@ -157,11 +142,7 @@ def _save(path, config, scene, method, groups, metadata, data):
 
 
 def load(model_path: str) -> RidgeModel:
-    """A fitted regression.
-
-    Raises:
-      FileNotFoundError, ValueError: no model there, or a damaged one.
-    """
+    """A fitted regression; FileNotFoundError, ValueError: no model there, or a damaged one."""
     stored = checkpoints.read_config(model_path)
     path = os.path.join(model_path, ARRAYS_FILE)
     with checkpoints.refusing_wrong_fields(model_path):

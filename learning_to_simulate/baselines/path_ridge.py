@@ -55,13 +55,8 @@ class Prediction(NamedTuple):
 
 
 def held_position(group, scene, height=None) -> np.ndarray:
-    """Positions [S, T - H, V, D] of soil that stays still and of the body as it is known.
-
-    Args:
-      group: `RunGroup` of S runs.
-      scene: says what of the body's motion is given.
-      height: [S, T - H] predicted height of a driven body's mean particle, m; None: it is held.
-    """
+    """Positions [S, T - H, V, D] of soil that stays still and of the body as it is known; `height`
+    [S, T - H] is predicted of a driven body's mean particle, m (None: it is held)."""
     n_frame = group.position.shape[1] - H
     position = metrics.stay_still(group.position[:, :H], n_frame)
     body = group.position[:, H:, : group.n_rigid].copy()
@@ -91,7 +86,7 @@ class PathInputs:
 
     @classmethod
     def of(cls, groups, scene: Scene, surface=None) -> 'PathInputs':
-        """The reader for training groups; see `PathRidge.fit`."""
+        """The reader for training groups."""
         bodies = [g.position[:, :, : g.n_rigid] for g in groups]
         axes = Axes.of_bodies(bodies, scene.up_axis)
         u = [axes.plane(b).mean(axis=2)[..., 0] for b in bodies]
@@ -114,11 +109,7 @@ class PathInputs:
         return SETS if self.scene.rigid_motion == RigidMotion.PRESCRIBED else SETS[:1]
 
     def read(self, group, name: str) -> np.ndarray:
-        """Inputs [S, T, I] of the runs of a group.
-
-        Raises:
-          ValueError: a path that leaves the bins.
-        """
+        """Inputs [S, T, I] of the runs of a group; ValueError for a path that leaves the bins."""
         body = group.position[:, :, : group.n_rigid]
         if self.scene.rigid_motion == RigidMotion.PRESCRIBED:
             parts = self._blade(body, name)
@@ -179,13 +170,12 @@ class PathInputs:
         return [np.stack(rows, axis=-1), np.repeat(size[:, None], body.shape[1], axis=1)]
 
     def to_json(self) -> dict:
-        """Values of `from_json`."""
         values = dataclasses.asdict(self)
         return {name: values[name] for name in ('axes', 'surface', 'reach', 'places', 'grid')}
 
     @classmethod
     def from_json(cls, values: dict, scene: Scene) -> 'PathInputs':
-        """Rebuilds the reader; raises KeyError, TypeError or ValueError on foreign values."""
+        """Raises KeyError, TypeError or ValueError on foreign values."""
         reach, places = (tuple(map(float, values[name])) for name in ('reach', 'places'))
         axes, grid = Axes(**values['axes']), swept.SweptGrid(**values['grid'])
         return cls(scene, axes, float(values['surface']), reach, places, grid)
@@ -286,8 +276,6 @@ def errors_left_out(x, y, run, gamma: float, alphas, kernel: str = 'gaussian') -
       y: [n, O] outputs.
       run: int [n], the run of each sample.
       gamma: width per number of inputs.
-      alphas: ridges.
-      kernel: a name of `KERNELS`.
     """
     shift, scale = _scaling(x)
     scaled = (x - shift) / scale
@@ -307,14 +295,8 @@ def errors_left_out(x, y, run, gamma: float, alphas, kernel: str = 'gaussian') -
 
 
 class PathRidge:
-    """Fitted regressions of one scene.
-
-    Args:
-      scene: what exists.
-      reader: `PathInputs` of the scene.
-      regressions: output ('soil', 'force', 'height') -> list of `Regression`, whose mean it is.
-      choices: what was tried, for the record.
-    """
+    """Fitted regressions of one scene: output ('soil', 'force', 'height') -> list of `Regression`,
+    whose mean it is; `choices` say what was tried, for the record."""
 
     def __init__(self, scene: Scene, reader, regressions: dict, choices=()):
         self.scene, self.reader, self.regressions = scene, reader, regressions
@@ -378,7 +360,6 @@ class PathRidge:
         return cls(scene, reader, regressions, choices)
 
     def predict(self, group) -> Prediction:
-        """Frames H .. T - 1 of the S runs of a group."""
         seen: dict = {}
         predicted = {}
         for name, regressions in self.regressions.items():
@@ -499,13 +480,11 @@ class _Samples:
         )
 
     def inputs(self, name: str) -> np.ndarray:
-        """Inputs [n, I] of a set."""
         if name not in self._inputs:
             self._inputs[name] = self._taken([self._reader.read(g, name) for g in self._groups])
         return self._inputs[name]
 
     def fitted(self, choice: dict) -> Regression:
-        """The regression of a choice."""
         inputs, target = choice['inputs'], choice['target']
         (whole,) = Regression.fit(
             inputs, self.inputs(inputs), self.y, choice['gamma'], [choice['alpha']],

@@ -100,14 +100,8 @@ class Contact(NamedTuple):
 
 
 class Bed:
-    """Bins along the travel of S wheels, and what the wheels have done to them.
-
-    Args:
-      wheels: S wheels.
-      parameters: of the soil.
-      first, last: [S] least and largest travel of the axles, m.
-      n_bin: bins per radius of travel.
-    """
+    """Bins along the travel of S wheels, between the least and largest travel [S] of their axles
+    (m), and what the wheels have done to them; `n_bin` for each radius of travel."""
 
     def __init__(
         self, wheels: Wheels, parameters: TerrainParameters, first, last, n_bin: int = 160
@@ -177,10 +171,8 @@ def drive(
     bear is buried to its axle; its vertical force stays below the load.
 
     Args:
-      wheels: S wheels.
       travel: [S, T] of the axle, m, forward.
       rolled: [S, T] radius times the angle turned, m, forward.
-      parameters: of the soil.
       n_bin: bins per radius of travel.
     """
     bed = Bed(wheels, parameters, travel.min(axis=1), travel.max(axis=1), n_bin)

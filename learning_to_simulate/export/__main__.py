@@ -28,7 +28,6 @@ from learning_to_simulate.export.exporting import FORMATS, export, summary
 
 
 def define_flags() -> None:
-    """Defines the flags of the command."""
     flags.DEFINE_string('model_path', None, 'Trained model.', required=True)
     flags.DEFINE_string('data_path', None, 'Dataset folder of the model; a page needs none.')
     flags.DEFINE_string(
@@ -39,7 +38,6 @@ def define_flags() -> None:
 
 
 def run(values) -> None:
-    """Runs the command with its flags; raises as `export`."""
     if values.format == 'page':
         from learning_to_simulate.native import web_page
 

@@ -17,12 +17,8 @@ from pca_tools import files
 
 
 def concrete(functions: dict, kind: str) -> dict:
-    """Name -> concrete function; those of a SavedModel are compiled by XLA.
-
-    Args:
-      functions: name -> function and its inputs by name, `tf.TensorSpec`.
-      kind: of the format.
-    """
+    """Name -> concrete function of functions with `tf.TensorSpec` of their inputs by name; those of
+    a SavedModel are compiled by XLA."""
     compiled = kind == 'savedmodel' or None
     return {
         name: tf.function(function, autograph=False, jit_compile=compiled).get_concrete_function(
@@ -33,7 +29,6 @@ def concrete(functions: dict, kind: str) -> dict:
 
 
 def _write_saved_model(functions, variables, folder: str):
-    """SavedModel."""
     holder = tf.Module(name='exported')  # Nothing but the weights goes into the file as an object.
     holder.weights = variables
     tf.saved_model.save(holder, folder, signatures=functions)
@@ -50,7 +45,6 @@ def _write_saved_model(functions, variables, folder: str):
 
 
 def _write_tflite(functions, variables, folder: str):
-    """LiteRT flatbuffers."""
     holder = tf.Module(name='exported')
     holder.weights = variables
     paths = {name: os.path.join(folder, f'{name}.tflite') for name in functions}
@@ -68,11 +62,7 @@ def _write_tflite(functions, variables, folder: str):
 
 
 def litert_interpreter():
-    """The class of LiteRT's interpreter.
-
-    Raises:
-      ValueError: it is not installed.
-    """
+    """The class of LiteRT's interpreter; ValueError where it is not installed."""
     try:
         from ai_edge_litert.interpreter import Interpreter
     except ImportError:
@@ -85,7 +75,6 @@ def litert_interpreter():
 
 
 def _write_onnx(functions, variables, folder: str):
-    """ONNX graphs."""
     try:
         import onnxruntime
         import tf2onnx

@@ -75,7 +75,6 @@ def export(
 
 
 def _exported(model_path, data_path, kind, n_tools):
-    """What is exported, for a format."""
     from learning_to_simulate import registry
 
     if registry.of_folder(model_path).on_terrain:

@@ -37,17 +37,11 @@ class StepFunctions:
     """The functions that are exported, for one graph of R rigid particles and r modes.
 
     Args:
-      simulator: the model.
-      layout: its graph.
       space: `Subspace` for `reconstruct`, or None: then there is no such function.
       group: one-run `RunGroup` to compare on.
 
     Raises:
       ValueError: a model with a memory of the path.
-
-    Attributes:
-      variables: the weights.
-      meaning: of inputs and outputs, by name.
     """
 
     meaning = MEANING
@@ -93,11 +87,8 @@ class StepFunctions:
         return {'particles': tf.linalg.matmul(components, modes) + mean}
 
     def functions(self, kind: str) -> dict:
-        """Name -> function and its inputs by name.
-
-        Raises:
-          ValueError: a scene that the format cannot hold.
-        """
+        """Name -> function and its inputs by name; ValueError for a scene that the format cannot
+        hold."""
         if kind != 'savedmodel' and self._scene.rigid_motion == RigidMotion.PREDICTED:
             raise ValueError(
                 'LiteRT and ONNX have no eigenvalue solver for the correction of a predicted rigid '

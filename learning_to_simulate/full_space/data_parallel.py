@@ -14,15 +14,10 @@ import tensorflow as tf
 
 
 class Share:
-    """This process among those that train together; alone without `TF_CONFIG`.
+    """This process, number `index` of `count` that train together; alone without `TF_CONFIG`.
 
     Make it before TensorFlow computes anything: it connects the processes, and waits for them.
-
-    Attributes:
-      index, count: which process, of how many.
-
-    Raises:
-      ValueError: `TF_CONFIG` is not one of workers alone.
+    ValueError: `TF_CONFIG` is not one of workers alone.
     """
 
     def __init__(self):

@@ -44,16 +44,12 @@ class ParticleModel:
         return SimpleNamespace(n_node=n_node, n_edge=0, senders=(), receivers=())
 
     def edge_counts(self) -> dict[str, int]:
-        """None that last."""
         return {}
 
 
 def make_model(data_path, metadata, group, config, rigid_motion=None) -> ParticleModel:
-    """A fresh model for the training runs `group`.
-
-    Raises:
-      ValueError: a scene that the model cannot simulate.
-    """
+    """A fresh model for the training runs `group`; ValueError for a scene that it cannot
+    simulate."""
     scene = reading_utils.read_scene(data_path, metadata, [group], rigid_motion)
     scene.check_one_body('the method full_space')
     n_particle = group.position.shape[2] - group.n_rigid
@@ -105,11 +101,8 @@ def train(data_path, model_path, config, options) -> dict:
 
 
 def load(path: str) -> ParticleModel:
-    """Loads a model for evaluation.
-
-    Raises:
-      FileNotFoundError, ValueError: no full-space model there, or weights of another.
-    """
+    """A model for evaluation; FileNotFoundError, ValueError: no full-space model there, or weights
+    of another."""
     values = checkpoints.read_config(path)
     with checkpoints.refusing_wrong_fields(path):
         config, scene, types = checkpoints.settings_and_scene(values, FullSpaceConfig)
@@ -125,12 +118,8 @@ def load(path: str) -> ParticleModel:
 
 
 def open_model(model_path, data_path, split, overrides=None, raw_path=None) -> OpenedModel:
-    """A trained model with the runs of a split; see `registry`.
-
-    Raises:
-      FileNotFoundError: no model, dataset, raw folder or split there.
-      ValueError: an override contradicts the model, or particles of another source or number.
-    """
+    """A trained model with the runs of a split; see `registry`. ValueError for particles of another
+    source or number, too."""
     model = load(model_path)
     scene, config = model.simulator.scene, model.simulator.config
     checkpoints.refuse_contradictions(model_path, config, overrides or {})

@@ -14,25 +14,16 @@ RAW, DECODED = 'raw runs', 'decoded from the subspace'
 
 
 def thinned_indices(n_soil: int, wanted: int) -> np.ndarray:
-    """Indices of every k-th of N soil particles, k so that about `wanted` are left.
-
-    Raises:
-      ValueError: more particles wanted than there are.
-    """
+    """Indices of every k-th of N soil particles, k so that about `wanted` are left; ValueError if
+    there are fewer."""
     if wanted > n_soil:
         raise ValueError(f'soil_particles is {wanted}, but the runs have {n_soil} soil particles')
     return np.arange(0, n_soil, max(round(n_soil / wanted), 1))
 
 
 def read_runs(data_path, raw_path, split, metadata, soil_particles) -> RunGroup:
-    """All runs of a split as one group of V = R + kept soil particles.
-
-    Args:
-      data_path: dataset folder.
-      raw_path: folder of the raw runs of its cases, or None to decode the records.
-      split: train, valid or test.
-      metadata: of the dataset.
-      soil_particles: about how many soil particles are kept.
+    """All runs of a split as one group of V = R + kept soil particles (about `soil_particles`),
+    from the folder of the raw runs of its cases, or (None) decoded from the records.
 
     Raises:
       FileNotFoundError: no such split, raw folder or subspace.

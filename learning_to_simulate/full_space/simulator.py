@@ -59,16 +59,8 @@ def _speed(displacement):
 
 
 def compute_statistics(group, scene: Scene, rate_scaled: bool) -> ParticleStatistics:
-    """Statistics of the training runs.
-
-    Args:
-      group: `RunGroup` of particles.
-      scene: of the particles.
-      rate_scaled: whether motion is counted per displacement of the body.
-
-    Raises:
-      ValueError: motion counted so, but no body moves.
-    """
+    """Statistics of a `RunGroup` of particles; with `rate_scaled` motion is counted per
+    displacement of the body: ValueError if none moves."""
     n = group.n_rigid
     velocity = np.diff(group.position, axis=1)
     speeds = _speed(velocity[:, :, :n]) if n else np.zeros(1)
@@ -122,8 +114,7 @@ class ParticleSimulator(snt.Module):
 
     Args:
       scene: `n_modes` counts the soil particles, `connectivity_radius` is that of the graph.
-      config: `FullSpaceConfig`.
-      statistics: `ParticleStatistics`.
+      config, statistics: `FullSpaceConfig`, `ParticleStatistics`.
       particle_types: for the record.
 
     Raises:
@@ -211,8 +202,8 @@ class ParticleSimulator(snt.Module):
         return float(max(_speed(body_velocity) / self.statistics.body_speed[0], RATE_FLOOR))
 
     def given_motion(self, displacement):
-        """The given part of the body's true displacement [R, D] of the coming frame: all of it, or
-        all but its mean height where that is predicted."""
+        """The given part of the body's true displacement [R, D]: all but its mean height where that
+        is predicted."""
         if self.scene.rigid_motion != RigidMotion.DRIVEN:
             return displacement
         return without_height(displacement, self.scene.up_axis)
@@ -251,7 +242,7 @@ class ParticleSimulator(snt.Module):
         return displacement, force, len(graph[2])
 
     def pooled_force(self, forces, n_rigid):
-        """Mean over the rigid particles, on which the force acts [D]; over all where there are
+        """Mean over the rigid particles [D], on which the force acts; over all where there are
         none."""
         return forces[: n_rigid or None].mean(axis=0)
 

@@ -12,11 +12,11 @@ _WINDOW_STREAM, _EVALUATION_STREAM = 11, 12
 
 
 class ParticleTrainer(GradientTraining):
-    """Holds the runs, the optimiser and one compiled step; batches are made on the host.
+    """Holds one group of runs, the optimiser and one compiled step; batches are made on the host.
 
     Args:
       model: `method.ParticleModel`.
-      groups: one `RunGroup` of particles in a list.
+      group: `RunGroup` of particles.
       share: of the processes that train together; None for this one alone.
 
     Raises:
@@ -37,7 +37,6 @@ class ParticleTrainer(GradientTraining):
         self._compiled = tf.function(self._train_step, autograph=False, reduce_retracing=True)
 
     def step(self, step: int) -> dict[str, tf.Tensor]:
-        """Runs training step `step` (counted from 0) and returns its scalar losses."""
         rng = self.generator(_WINDOW_STREAM, step)
         windows = self._windows(rng, self.config.batch_size)
         # Every process draws all noise, so that a sample has the same wherever it is made.
@@ -48,7 +47,7 @@ class ParticleTrainer(GradientTraining):
         return self._compiled(tf.constant(step, tf.float32), *batch)
 
     def batch_of(self, step: int) -> list[tuple[int, int]]:
-        """The batch of training step `step`: (record, first frame) of each window."""
+        """(record, first frame) of each window of training step `step`."""
         rng = self.generator(_WINDOW_STREAM, step)
         windows = self._windows(rng, self.config.batch_size)
         return [(int(self._group.record[run]), start) for run, start in windows]

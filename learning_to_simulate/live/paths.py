@@ -62,12 +62,10 @@ class SoilRollout:
 
     @property
     def status(self) -> RolloutStatus:
-        """How far the rollout can be trusted."""
         return self.judgement.status
 
     @property
     def reason(self) -> str:
-        """Value and limits behind the status, in words; '' where it is OK."""
         return self.judgement.reason
 
     @property
@@ -87,33 +85,21 @@ class SoilRollout:
 
     @property
     def has_particles(self) -> bool:
-        """Whether there is a subspace to decode particles by."""
         return self.soils[0].has_particles
 
     def particles(self, frame: int | None = None) -> np.ndarray:
-        """float32 [N, 3] of a frame, or [T', N, 3] of all, m.
-
-        Raises:
-          ValueError: without a subspace.
-        """
+        """float32 [N, 3] of a frame, or [T', N, 3] of all, m; ValueError without a subspace."""
         if frame is None:
             return np.stack([soil.particles() for soil in self.soils])
         return self.soils[frame].particles()
 
     def height_map(self, nx: int, nz: int, frame: int = -1) -> np.ndarray:
-        """float32 [nx, nz] heights of the surface in a frame, m; see `soil.surface`.
-
-        Raises:
-          ValueError: without a subspace.
-        """
+        """float32 [nx, nz] heights of the surface in a frame, m; see `soil.surface`."""
         return self.soils[frame].height_map(nx, nz)
 
     def save(self, path: str) -> None:
-        """Writes an `.npz` that `render_rollout` reads, whole or not at all; DeepMind's key names.
-
-        Raises:
-          OSError: it cannot be written.
-        """
+        """Writes an `.npz` that `render_rollout` reads, whole or not at all; DeepMind's key
+        names."""
         scene, n_rigid = self.scene, self.body.shape[1]
         given = scene.rigid_motion == RigidMotion.PRESCRIBED
         kind = dataset.KINEMATIC_PARTICLE_ID if given else dataset.RIGID_PARTICLE_ID
@@ -122,9 +108,7 @@ class SoilRollout:
         arrays = {
             'initial_positions': nodes[:H],
             'predicted_rollout': nodes[H:],
-            'particle_types': np.repeat(
-                [kind, dataset.MODE_PARTICLE_ID], [n_rigid, scene.n_modes]
-            ),
+            'particle_types': np.repeat([kind, dataset.MODE_PARTICLE_ID], [n_rigid, scene.n_modes]),
             'scene': np.array(json.dumps(scene.to_json())),
             'status': np.array(str(self.status)),
             'first_bad_frame': np.array(self.judgement.frame),
@@ -148,15 +132,9 @@ class SoilRollout:
         files.write_npz(path, **arrays)
 
     def render(self, path: str, **options) -> None:
-        """Draws the rollout; the ending of the path (.png, .gif, .mp4) decides how.
-
-        Args:
-          path: file to write.
-          **options: `step_stride`, `color_by` and `plane` of `render_rollout.render`.
-
-        Raises:
-          ValueError: another ending, or a package for pictures is missing (pip install .[viz]).
-        """
+        """Draws the rollout into a file .png, .gif or .mp4; options `step_stride`, `color_by` and
+        `plane` of `render_rollout.render_frames`. ValueError: another ending, or a package for
+        pictures is missing (pip install .[viz])."""
         from learning_to_simulate import render_rollout
 
         render_rollout.draw(self, path, **options)
@@ -169,8 +147,7 @@ def roll_out(stepper, path, velocity=None, case=None, context=None) -> SoilRollo
       stepper: `stepper.Stepper` that flags; it is left at the end of the path.
       path: [T, 7] or [T, 3] poses (see `poses`), T >= 2; the body is at the first when it starts.
       velocity: at its beginning; None for that of its first two poses.
-      case: as `Stepper.start`.
-      context: likewise, or [T, C] where it changes in time.
+      case, context: as `Stepper.start`; a context that changes in time is [T, C].
 
     Raises:
       ValueError: not such a path; as `Stepper.step`.

@@ -19,15 +19,8 @@ LARGEST = float(np.finfo(np.float32).max)  # the models compute in float32
 
 
 def numbers(name: str, values, *shapes: tuple) -> np.ndarray:
-    """Values of a user as float64, or an error that says what is wrong with them.
-
-    Args:
-      name: of the values, for messages.
-      values: anything that numpy makes an array of.
-      *shapes: that are allowed; None in a shape stands for any length.
-
-    Returns:
-      a float64 copy.
+    """A float64 copy of what a user gives, of one of some shapes (None: any length), or an error
+    that says what is wrong.
 
     Raises:
       ValueError: not real numbers (texts, dates, Booleans, complex or masked values), another
@@ -55,23 +48,14 @@ def numbers(name: str, values, *shapes: tuple) -> np.ndarray:
 
 
 class PoseReader:
-    """Reads poses of one scene.
-
-    Args:
-      up_axis: axis against gravity.
-      lateral: m, where a body of the plane stands across it.
-    """
+    """Reads poses of one scene; a body of the plane stands at `lateral` across it, m."""
 
     def __init__(self, up_axis: int, lateral: float):
         self._up, self._lateral = up_axis, lateral
         (self._across,) = {1, 2} - {up_axis} if up_axis else (2,)
 
     def read(self, pose) -> np.ndarray:
-        """float64 [7] of a pose in any of its forms.
-
-        Raises:
-          ValueError: not a pose.
-        """
+        """float64 [7] of a pose in any of its forms; ValueError for what is none."""
         if isinstance(pose, (tuple, list)) and len(pose) == 2:
             position, rotation = numbers('position', pose[0], (3,)), pose[1]
             return np.concatenate([position, _unit(numbers('quaternion', rotation, (4,)))])
@@ -90,12 +74,8 @@ class PoseReader:
         return np.array([pose[0], pose[self._up], angle])
 
     def read_velocity(self, velocity) -> np.ndarray:
-        """Linear (m/s) and angular (rad/s) velocity in the world's axes, float64 [6].
-
-        Args:
-          velocity: [6]; [3] linear; None for a body at rest. Of a pose in the plane, [3] would be
-            ambiguous: give [6].
-        """
+        """Linear (m/s) and angular (rad/s) velocity in the world's axes, float64 [6], of [6], of a
+        linear one [3], or of None for a body at rest."""
         if velocity is None:
             return np.zeros(6)
         values = numbers('velocity', velocity, (6,), (3,))

@@ -25,12 +25,8 @@ from pca_tools import files
 
 
 def read_poses(path: str) -> np.ndarray:
-    """float64 [T, 7] or [T, 3] of a file.
-
-    Raises:
-      FileNotFoundError: there is none.
-      ValueError: not a table of numbers, or an empty one.
-    """
+    """float64 [T, 7] or [T, 3] of a file; FileNotFoundError, or ValueError for what is no table of
+    numbers."""
     if not os.path.isfile(path):
         raise FileNotFoundError(f'{path}: no such file')
     if path.endswith('.npy'):
@@ -55,7 +51,6 @@ def _ground(values, model):
 
 
 def run(values) -> None:
-    """Runs the command with its flags."""
     path = read_poses(values.poses)
     if values.picture:
         from learning_to_simulate import render_rollout

@@ -6,17 +6,12 @@ from pca_tools.subspace import Subspace
 
 
 def surface(points, extent, up_axis: int, nx: int, nz: int) -> np.ndarray:
-    """Heights of particles on a grid.
+    """Heights of particles [N, 3] (m) on a grid: float32 [nx, nz], m, of the highest particle of
+    each cell; NaN where a cell has none.
 
     Args:
-      points: [N, 3], m.
       extent: [2, 2], m, lowest and highest of the two level axes; particles beyond it count in the
         cells of the rim.
-      up_axis: axis against gravity.
-      nx, nz: cells along the two axes.
-
-    Returns:
-      float32 [nx, nz], m, of the highest particle of each cell; NaN where a cell has none.
 
     Raises:
       ValueError: no cells.
@@ -39,13 +34,8 @@ def plan_extent(points, up: int) -> np.ndarray:
 
 
 class Decoder:
-    """Decodes the scores of one subspace, in float32.
-
-    Attributes:
-      subspace: of the modes.
-      up_axis: axis against gravity.
-      extent: float64 [2, 2], m: what a height map spans, the bed at rest; see `plan_extent`.
-    """
+    """Decodes the scores of a subspace, in float32; `extent` [2, 2], m, is what a height map spans,
+    the bed at rest (see `plan_extent`)."""
 
     def __init__(self, subspace: Subspace, up_axis: int):
         self.subspace, self.up_axis = subspace, up_axis
@@ -59,19 +49,14 @@ class Decoder:
 
 
 class Soil:
-    """The soil of a frame; nothing is decoded before it is asked for.
-
-    Args:
-      modes: float64 [r, D] scores, m.
-      decoder: turns them into particles; None without a subspace.
-    """
+    """The soil of a frame, float64 [r, D] scores (m); a decoder (None without a subspace) turns
+    them into particles when these are asked for."""
 
     def __init__(self, modes, decoder: Decoder | None):
         self.modes, self._decoder = modes, decoder
 
     @property
     def has_particles(self) -> bool:
-        """Whether there is a subspace to decode by."""
         return self._decoder is not None
 
     def particles(self) -> np.ndarray:

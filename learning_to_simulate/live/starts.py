@@ -59,11 +59,7 @@ class Starts:
 
     def index(self, case: int | None) -> int:
         """The start of a case of the dataset; for None, the first on a bed that no run before has
-        disturbed.
-
-        Raises:
-          ValueError: there is no such case.
-        """
+        disturbed. ValueError for an unknown case."""
         if case is None:
             calm = (i for i, values in enumerate(self.cases) if values.get('kind') != 'disturbed')
             return next(calm, 0)
@@ -74,15 +70,8 @@ class Starts:
 
 
 def collect(data_path: str, nodes: dict) -> Starts:
-    """The different starts of a dataset's records.
-
-    Args:
-      data_path: dataset folder.
-      nodes: of `TrainConfig`, but for the modes: starts hold all of them.
-
-    Raises:
-      FileNotFoundError, ValueError: as `reading_utils.read_groups`.
-    """
+    """The different starts of a dataset's records; raises as `reading_utils.read_groups`. `nodes`
+    are of `TrainConfig`, but for the modes: starts hold all of them."""
     metadata = dataset.read_metadata(data_path)
     found: list[tuple] = []
     force_limit = None
@@ -153,13 +142,8 @@ def _same_body(one, other):
 
 
 def write(model_path: str, data_path: str, nodes: dict) -> dict[str, str]:
-    """Writes the files of this module into a model folder; returns their sha256 by name.
-
-    Args:
-      model_path: model folder.
-      data_path: its dataset folder; without a subspace in it none is copied.
-      nodes: of the model's `TrainConfig`.
-    """
+    """Writes the files of this module into a model folder; returns their sha256 by name. A dataset
+    folder without a subspace gives none; `nodes` are of the model's `TrainConfig`."""
     starts = collect(data_path, nodes)
     flat = {'modes': starts.modes, 'pose': starts.pose}
     for name in ('body', 'kept'):
@@ -235,12 +219,8 @@ def _parse(path):
 
 
 class Start:
-    """Checked input of a start: what a user gives, and the rest from the start of a case.
-
-    Args:
-      scene: of the model.
-      starts: of the model folder.
-      pose, velocity, case, context: of `Stepper.start`.
+    """Checked input of a start: what a user gives to `Stepper.start`, and the rest from that of a
+    case.
 
     Attributes:
       body, kept: particles of the body in its own frame, and which are nodes.
@@ -272,15 +252,12 @@ class Start:
         self.velocity = self._reader.read_velocity(velocity)
 
     def read(self, pose) -> np.ndarray:
-        """float64 [7] of a pose of the path; raises as `poses.PoseReader.read`."""
+        """As `poses.PoseReader.read`."""
         return self._reader.read(pose)
 
     def read_context(self, context) -> np.ndarray:
-        """float64 [C] of a context [C] or {name: value}.
-
-        Raises:
-          ValueError: a scene without one, other names, not numbers.
-        """
+        """float64 [C] of a context [C] or {name: value}; ValueError for a scene without one, other
+        names, no numbers."""
         names = self._scene.context_names
         if not names:
             raise ValueError(f'the scene {self._scene.name} takes no context')
@@ -291,7 +268,7 @@ class Start:
         return poses.numbers('context', context, (len(names),))
 
     def nodes(self, pose) -> np.ndarray:
-        """float64 [R, 3], m, of the body's nodes at a pose."""
+        """float64 [R, 3], m, at a pose."""
         return poses.placed(self.body[self.kept], pose)
 
     def past(self) -> np.ndarray:
@@ -309,8 +286,6 @@ class RecordedStart:
     """A start from recorded frames, whose body is given by its particles, not by a pose.
 
     Args:
-      scene: of the model.
-      n_rigid: R.
       history: [H, V, D] positions, m; R rigid particles, then r modes; newest last.
       context: [C], where the scene has one.
 
@@ -339,9 +314,7 @@ class RecordedStart:
         return poses.numbers('rigid_pose', body, (self._n, self._history.shape[2]))
 
     def nodes(self, body) -> np.ndarray:
-        """The particles themselves."""
         return body
 
     def history(self) -> np.ndarray:
-        """float64 [H, V, D], m, as given."""
         return self._history

@@ -59,12 +59,11 @@ class Frame(NamedTuple):
 
     @property
     def status(self) -> RolloutStatus:
-        """The worst status since the start, as a rollout file would have it."""
+        """The worst since the start."""
         return self.judgement.status
 
     @property
     def reason(self) -> str:
-        """Value and limits behind the status, in words; '' where it is OK."""
         return self.judgement.reason
 
     @property
@@ -82,15 +81,8 @@ class Frame(NamedTuple):
 
 
 class StepperState(NamedTuple):
-    """All that a stepper knows; what is kept can be put back.
-
-    Attributes:
-      start: what the run began from.
-      frame: the newest.
-      count: frames since the start.
-      body: [R, D] of the newest frame, where it is given.
-      of_step: what its step knows.
-    """
+    """All that a stepper knows; what is kept can be put back. `body` [R, D] is that of the newest
+    frame, where it is given, `of_step` what its step knows."""
 
     start: Any
     frame: Frame
@@ -147,12 +139,10 @@ class Stepper:
 
     @property
     def dt(self) -> float:
-        """Seconds of a frame."""
         return self.scene.dt
 
     @property
     def cases(self) -> list:
-        """Numbers or names of the recorded starts' cases."""
         return [values.get('case') for values in self.starts.cases]
 
     def _of_size(self, n_rigid):
@@ -198,9 +188,7 @@ class Stepper:
           context: [C], where the scene has one.
 
         Raises:
-          ValueError: wrong shape or kind of values, or values that are not finite in float32; the
-            state stays as it was.
-          RuntimeError: another thread uses the stepper.
+          ValueError, RuntimeError: as `start`; values that are not finite in float32.
         """
         with _Held(self._lock):
             shape = np.shape(history)
@@ -313,12 +301,8 @@ class Stepper:
 
     @property
     def state(self) -> StepperState:
-        """What is kept can be put back, and goes on from there to the same bits.
-
-        Raises:
-          ValueError: before `start`.
-          RuntimeError: put back while another thread is at work here.
-        """
+        """What is kept can be put back, and goes on from there to the same bits; ValueError before
+        `start`."""
         frame = self._newest()
         return StepperState(self._start, frame, self._count, self._body, self._now.state)
 
@@ -330,8 +314,8 @@ class Stepper:
             self._now.state = of_step
 
     def particles(self) -> np.ndarray:
-        """float32 [N, 3] of the soil in the newest frame, or at the start, m; raises as
-        `Frame.particles`, and before the start."""
+        """float32 [N, 3] of the soil in the newest frame, or at the start, m; ValueError without a
+        subspace."""
         return self._newest().particles()
 
     def _newest(self):

@@ -15,12 +15,8 @@ from learning_to_simulate.subspace.rigid_body import Correction, KnownMotion
 
 
 class TfStep:
-    """Frames by TensorFlow, compiled once.
-
-    Args:
-      model: `subspace_model.Model`; its variables are read anew in every frame.
-      n_rigid: R, rigid particles that are nodes.
-    """
+    """Frames by TensorFlow, compiled once for R rigid particles that are nodes; the variables of
+    the `subspace_model.Model` are read anew in every frame."""
 
     def __init__(self, model: subspace_model.Model, n_rigid: int):
         self._simulator, self._layout = model.simulator, model.layout(n_rigid)
@@ -80,10 +76,9 @@ class TfStep:
           context: float64 [C] from that frame on; None leaves it as it was.
 
         Returns:
-          float64 [V, D] positions, m, and float32 [F] force, N, or None.
-
-        Raises:
-          ValueError: a path that leads farther than its memory reaches.
+          float64 [V, D] positions, m, and float32 [F] force, N, or None; ValueError for a path that
+            leads
+          farther than its memory reaches.
         """
         known = None
         if body is not None:

@@ -26,13 +26,8 @@ PARTICLE_FRAMES = 5
 
 
 class Opened(NamedTuple):
-    """A model folder.
-
-    Attributes:
-      model: `subspace_model.Model`.
-      starts, subspace: of `live.starts.read`.
-      n_rigid: R of the graph of a model in a subspace.
-    """
+    """A model folder: `subspace_model.Model`, starts and subspace of `live.starts.read`, and R of
+    the first start."""
 
     model: Any
     starts: live_starts.Starts
@@ -41,17 +36,11 @@ class Opened(NamedTuple):
 
     @classmethod
     def of(cls, model_path: str) -> 'Opened':
-        """Reads a model folder; R is that of the first start.
-
-        Raises:
-          FileNotFoundError, ValueError: no model there, a damaged one, or one without starts.
-        """
         model = registry.of_folder(model_path).load_code().load(model_path)
         starts, subspace = live_starts.read(model_path)
         return cls(model, starts, subspace, len(starts.kept[0]))
 
     def values(self) -> dict:
-        """Of `model_data.values`, whose errors this raises."""
         return model_data.values(self.model, self.n_rigid, self.subspace, self.starts)
 
     def steppers(self, library_path: str | None = None, symbol: str = '') -> list[Stepper]:
@@ -69,11 +58,8 @@ class Opened(NamedTuple):
 
 
 def checked(difference: dict[str, float], tolerance: float) -> dict[str, float]:
-    """Differences by kind, as shares of the motion or of the largest force.
-
-    Raises:
-      ValueError: one above the tolerance, or that is not finite.
-    """
+    """Differences by kind, as shares of the motion or of the largest force; ValueError where one is
+    above the tolerance, or not finite."""
     if bad := {k: v for k, v in difference.items() if not v <= tolerance}:
         raise ValueError(
             f'the C code differs from the model by {bad}, more than {tolerance:g} of the motion or '

@@ -21,7 +21,6 @@ class KernelLacks(ValueError):
 
 
 def _given(name, values, shape):
-    """float64 values of a user, or None."""
     return None if values is None else numbers(name, values, shape)
 
 
@@ -50,11 +49,11 @@ class CSubspace:
       kernel: 'best', 'avx512', 'avx2', 'vector4' (SSE2, NEON) or 'scalar'.
       data: kept as long as the instance: what the model lies in.
 
-    Raises:
-      ValueError: a model of another ABI version, a kernel that this machine lacks.
-
     Attributes:
       description: `lts_description`: sizes, axes, digest.
+
+    Raises:
+      ValueError: a model of another ABI version, a kernel that this machine lacks.
     """
 
     def __init__(self, loaded: ctypes.CDLL, model: int, kernel: str = 'best', data=None):
@@ -77,30 +76,15 @@ class CSubspace:
 
     @classmethod
     def of(cls, model, n_rigid: int, kernel: str = 'best', **options) -> 'CSubspace':
-        """Of a `subspace_model.Model`, with its weights as they are now.
-
-        Args:
-          model, n_rigid, **options: of `model_data.values`, which raises ValueError.
-          kernel: of the constructor.
-
-        Raises:
-          library.NoCompiler, library.CompileFailed: as `library.load`.
-        """
+        """Of a `subspace_model.Model`, with its weights as they are now; raises as
+        `model_data.values`, whose options are taken, and `library.load`."""
         data = c_values.Structure('lts_model', model_data.values(model, n_rigid, **options))
         return cls(library.load(), ctypes.addressof(data.value), kernel, data)
 
     @classmethod
     def open(cls, path: str, symbol: str, kernel: str = 'best') -> 'CSubspace':
-        """A model of a shared library that an exported project built.
-
-        Args:
-          path: of the library.
-          symbol: name of its model, `lts_...`.
-          kernel: of the constructor.
-
-        Raises:
-          ValueError: no such library, or no such model in it.
-        """
+        """A model `lts_...` of a shared library that an exported project built; ValueError where
+        there is none."""
         try:
             loaded = library.declared(ctypes.CDLL(path))
             model = ctypes.addressof(ctypes.c_char.in_dll(loaded, symbol))
@@ -118,11 +102,8 @@ class CSubspace:
         return KERNELS[self.call('kernel')]
 
     def particles(self) -> np.ndarray:
-        """float32 [N, 3] of the soil in the newest frame, m.
-
-        Raises:
-          ValueError: before the start, or without a subspace.
-        """
+        """float32 [N, 3] of the soil in the newest frame, m; ValueError before the start, or
+        without a subspace."""
         if not self.description.n_soil:
             raise ValueError('particles need a subspace: the model has none')
         points = np.empty((self.description.n_soil, 3), np.float32)
@@ -161,34 +142,18 @@ class CSubspace:
         return state.raw
 
     def load_state(self, state: bytes) -> None:
-        """Goes back to a saved state; what follows is the same bit by bit.
-
-        Raises:
-          ValueError: damaged bytes, or those of another model; the state stays as it was.
-        """
+        """Goes back to a saved state; what follows is the same bit by bit. ValueError for damaged
+        bytes, or those of another model: the state stays as it was."""
         self.call('load', state, len(state))
 
     def copy_state(self, other) -> None:
-        """Takes over the state of another run of the same model.
-
-        Raises:
-          ValueError: a run of another model.
-        """
+        """Takes over the state of another run of the same model."""
         self.call('clone', other._soil)
 
     def call(self, name: str, *values) -> int:
-        """Calls a function of the headers on this run.
-
-        Args:
-          name: of the function, without `lts_`.
-          *values: its further arguments: numbers, arrays of the type that C has, None for null.
-
-        Returns:
-          its code.
-
-        Raises:
-          ValueError: an error of lts.h, in its words.
-        """
+        """Calls a function `lts_<name>` of the headers on this run with further numbers, arrays of
+        the type that C has, or None for null; returns its code. ValueError: an error of lts.h, in
+        its words."""
         kept = [np.ascontiguousarray(x) if isinstance(x, np.ndarray) else x for x in values]
         # Addresses, since numpy takes microseconds to make a ctypes pointer.
         given = [x.ctypes.data if isinstance(x, np.ndarray) else x for x in kept]

@@ -22,19 +22,9 @@ _POINTER = type(ctypes.POINTER(ctypes.c_float))
 
 
 class Structure:
-    """A C structure in memory, with everything that it points to.
-
-    Args:
-      name: of the C type.
-      values: its fields; those left out are zero.
-
-    Raises:
-      ValueError: the type has no such field.
-
-    Attributes:
-      name: as given.
-      value: the `ctypes.Structure`.
-    """
+    """A C structure of a type `name` in memory (`value`, a `ctypes.Structure`), with everything
+    that it points to; fields that are left out are zero. ValueError for a field that the type has
+    not."""
 
     def __init__(self, name: str, values: dict):
         self.name = name
@@ -74,14 +64,7 @@ class Structure:
 
     def source(self, symbol: str) -> str:
         """C text that defines the structure and all that it points to; equal arrays are written
-        once. Numbers come back bit by bit.
-
-        Args:
-          symbol: name of the structure.
-
-        Raises:
-          ValueError: a number that is not finite has no place in C source.
-        """
+        once. Numbers come back bit by bit; ValueError for one that is not finite."""
         lines: list[str] = []
         names: dict[str, str] = {}  # definition of an array -> its name
 
@@ -129,11 +112,8 @@ def aligned(values, dtype) -> np.ndarray:
 
 
 def number(value, kind) -> str:
-    """A number as C text, which a compiler reads back bit by bit.
-
-    Raises:
-      ValueError: a number that is not finite.
-    """
+    """A number as C text, which a compiler reads back bit by bit; ValueError for one that is not
+    finite."""
     if kind is ctypes.c_int32:
         return str(int(value))
     if not np.isfinite(value):

@@ -51,11 +51,7 @@ def by_c(model, starts, subspace, make=CSubspace.of, **options) -> Stepper:
 
 
 class CStep:
-    """A step of `Stepper` by the C library: the same frames as `live.tf_step.TfStep`.
-
-    Args:
-      soil: `CSubspace`.
-    """
+    """A step of `Stepper` by the C library: the same frames as `live.tf_step.TfStep`."""
 
     def __init__(self, soil: CSubspace):
         self._soil, self._before = soil, soil.another()
@@ -67,13 +63,13 @@ class CStep:
         return self._soil.kernel
 
     def reset(self, history, context) -> None:
-        """Starts after the frames float64 [H, V, 3], with a context float64 [C] or None."""
+        """As of `TfStep`."""
         self._soil.reset(history, context)
         self._is_proposed = False
 
     def propose(self, body, displacement, context=None):
-        """The next frame; arguments and results as of `TfStep.propose`, the
-        displacement is not needed: the library keeps the body of the last frame."""
+        """As of `TfStep`; the displacement is not needed: the library keeps the body of the last
+        frame."""
         del displacement
         if self._is_proposed:
             self._soil.copy_state(self._before)
@@ -88,12 +84,10 @@ class CStep:
         return self._soil.particles()
 
     def accept(self) -> None:
-        """Takes the frame that was proposed last as the newest one."""
         self._is_proposed = False
 
     @property
     def state(self) -> bytes:
-        """All that the coming frames follow from; can be put back."""
         return (self._before if self._is_proposed else self._soil).save()
 
     @state.setter

@@ -30,12 +30,9 @@ class _CForm(abc.ABC):
         return {'symbol': self._name, 'digest': self._values['digest']}
 
     def write(self, kind: str, folder: str) -> dict:
-        """Writes the files of a format of `native.FORMATS`; returns how they compare.
-
-        Raises:
-          ValueError: C that does not compile, a dataset that the model does not fit, a number of
-            tools that no FMU has, or outputs beyond the tolerance.
-        """
+        """Writes the files of a format of `native.FORMATS`; returns how they compare. ValueError
+        for C that does not compile, a dataset that the model does not fit, or outputs beyond the
+        tolerance."""
         with tempfile.TemporaryDirectory() as scratch:
             project.write(scratch, self._name, self._values)
             built = os.path.join(scratch, 'model.so')
@@ -53,21 +50,14 @@ class _CForm(abc.ABC):
 
 
 class CModel(_CForm):
-    """A model in a subspace, for bodies of the size of its first start.
-
-    Args:
-      model_path, data_path: trained model, and its dataset, whose first test run is compared.
-
-    Raises:
-      FileNotFoundError, ValueError: no model there, or one that has no C form.
-    """
+    """A model in a subspace, for bodies of the size of its first start; the first test run of its
+    dataset is compared."""
 
     def __init__(self, model_path: str, data_path: str):
         self._paths, self._opened = (model_path, data_path), agreement.Opened.of(model_path)
         super().__init__(model_path, self._opened.values())
 
     def describe(self) -> dict:
-        """As the base, with the scene and the sizes of the body and the starts."""
         sizes = {name: self._values[name] for name in ('n_rigid', 'n_start')}
         scene = self._opened.model.simulator.scene
         return super().describe() | {'scene': scene.to_json()} | sizes
@@ -92,12 +82,7 @@ class CModel(_CForm):
 
 
 class CSoilField(_CForm):
-    """A soil field.
-
-    Args:
-      model_path, data_path: as of `CModel`.
-      tools: of an FMU, how many tools work on its terrain.
-    """
+    """A soil field; of an FMU, `tools` work on its terrain."""
 
     def __init__(self, model_path: str, data_path: str, tools: int = 1):
         self._field = registry.of_folder(model_path).load_code().load(model_path)
@@ -105,7 +90,6 @@ class CSoilField(_CForm):
         super().__init__(model_path, soil_data.values(self._field))
 
     def describe(self) -> dict:
-        """As the base, with the kind of the tool and the number of members."""
         own = {'tool': self._field.networks.tool.name, 'n_member': self._values['n_member']}
         return super().describe() | own
 

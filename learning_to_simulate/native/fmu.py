@@ -50,14 +50,8 @@ def guid(values: dict, layout: Layout) -> str:
 
 
 def description(name: str, values: dict, layout: Layout, sources) -> bytes:
-    """modelDescription.xml of FMI 2.0.
-
-    Args:
-      name: of the model.
-      values: of `model_data.values` or `soil_data.values`.
-      layout: its variables.
-      sources: names of the C files.
-    """
+    """modelDescription.xml of FMI 2.0, of a model of a name, `model_data.values` or
+    `soil_data.values`, its variables and the names of the C files."""
     sub = ElementTree.SubElement
     root = ElementTree.Element(
         'fmiModelDescription', fmiVersion='2.0', modelName=name, guid=guid(values, layout),
@@ -149,7 +143,6 @@ def write(path: str, name: str, values: dict, tools: int = 1) -> None:
 
 
 def _about(values):
-    """What the documentation says of a kind of model."""
     if project.is_soil(values):
         return {
             'MOMENT': 'The moment is about the point.',

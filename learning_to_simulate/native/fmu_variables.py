@@ -17,14 +17,9 @@ STEP = 0.01  # s, step of the default experiment
 
 
 class Variable(NamedTuple):
-    """A scalar variable.
-
-    Attributes:
-      name, unit, causality, text: as modelDescription.xml has them; causality 'constant' is a local
-        one.
-      start: None where it is calculated.
-      limits: what else the description says of its values.
-    """
+    """A scalar variable as modelDescription.xml has it; causality 'constant' is a local one.
+    `start` is None where it is calculated; `limits` are what else the description says of its
+    values."""
 
     name: str
     unit: str | None
@@ -58,11 +53,8 @@ class Layout(NamedTuple):
 
 
 def of(values: dict, tools: int = 1) -> Layout:
-    """Of `model_data.values` or `soil_data.values`, with a number of tools.
-
-    Raises:
-      ValueError: a model without a body or a start, or with another number of tools.
-    """
+    """The layout of `model_data.values` or `soil_data.values`, with a number of tools; ValueError
+    for a model without a body or a start, or with another number of tools."""
     if project.is_soil(values):
         if not 1 <= tools <= 16:
             raise ValueError(f'tools is {tools}: 1 to 16 tools can work on the terrain of an FMU')

@@ -15,13 +15,8 @@ from learning_to_simulate.native import library
 
 
 def dense(w, b=None, triangular: bool = False) -> dict:
-    """`lts_dense` of y = x w + b.
-
-    Args:
-      w: [in, out].
-      b: [out], or None for zeros.
-      triangular: whether w[i, j] is 0 for i < j; the zeros of whole panels are left out.
-    """
+    """`lts_dense` of y = x w + b, w [in, out], b [out] or None for zeros. Where w[i, j] is 0 for i
+    < j (`triangular`), the zeros of whole panels are left out."""
     panel = library.constants()['LTS_PANEL']
     w = np.asarray(w, np.float64)
     rows, columns = w.shape
@@ -52,11 +47,7 @@ def side_by_side(parts):
 
 
 class Mlp:
-    """An MLP with LayerNorm behind it, folded.
-
-    Args:
-      weights: `graph_network.MlpWeights` with a LayerNorm.
-    """
+    """An MLP with LayerNorm behind it, of `graph_network.MlpWeights`, folded."""
 
     def __init__(self, weights):
         layers = [tuple(np.asarray(x, np.float64) for x in layer) for layer in weights.layers]

@@ -47,12 +47,8 @@ class CompileFailed(ValueError):
 
 def compiler() -> list[str]:
     """A C compiler and its first arguments: $CC, or the first of cc, gcc and clang, or that of the
-    package `ziglang`.
-
-    Raises:
-      NoCompiler: there is none.
-      ValueError: a $CC whose quotes do not close.
-    """
+    package `ziglang`; NoCompiler where there is none, ValueError for a $CC whose quotes do not
+    close."""
     named = os.environ.get('CC', '').strip()
     for name, *more in [shlex.split(named)] if named else [['cc'], ['gcc'], ['clang']]:
         if path := shutil.which(name):
@@ -67,12 +63,8 @@ def compiler() -> list[str]:
 
 
 def compile_sources(output: str, *folders: str, flags=FLAGS) -> None:
-    """Compiles all C files of some folders into a shared library, whole or not at all.
-
-    Args:
-      output: path of the library.
-      *folders: with sources and headers; of a project its `include` and `src`.
-      flags: of the compiler.
+    """Compiles all C files of folders with sources and headers into a shared library, whole or not
+    at all.
 
     Raises:
       NoCompiler: there is none.
@@ -137,11 +129,8 @@ def _cache_folder():
 
 
 def declared(library: ctypes.CDLL) -> ctypes.CDLL:
-    """Gives functions the types of the headers, so that ctypes refuses what C would not survive.
-
-    Raises:
-      AttributeError: another library.
-    """
+    """Gives functions the types of the headers, so that ctypes refuses what C would not survive;
+    AttributeError for another library."""
     library.lts_error_text.restype = ctypes.c_char_p  # that of the project, or AttributeError
     for result, name, arguments in _CALL.findall(_headers()):
         if hasattr(library, name):  # an exported library has the functions of one kind of models

@@ -27,11 +27,7 @@ _FEATURES = (
 
 
 def refuse(simulator) -> None:
-    """Refuses a model that the C code cannot run.
-
-    Raises:
-      ValueError: names the model and what it has that C lacks.
-    """
+    """Raises ValueError for a model that the C code cannot run, with what C lacks."""
     config = simulator.config
     if config.model not in EXPORTED_MODELS:
         raise ValueError(
@@ -115,7 +111,6 @@ def values(model, n_rigid: int, subspace=None, starts=None, rigid_correction: bo
 
 
 def _contact(reader):
-    """Where a body shows no force."""
     return {
         'n_place': len(reader.places),
         'way_axis': reader.axis,

@@ -34,7 +34,7 @@ _SHARED = ('lts_common', 'lts_kernels', 'lts_model.', 'lts_table')
 
 
 def is_soil(values: dict) -> bool:
-    """Whether values are those of a soil field, `soil_data.values`."""
+    """Whether values are those of `soil_data.values`."""
     return 'n_column' in values
 
 
@@ -61,13 +61,7 @@ def _library_names():
 
 
 def write_sources(folder: str, name: str, values: dict) -> None:
-    """The C files of a model and of the library, in one folder.
-
-    Args:
-      folder: exists.
-      name: of `symbol`.
-      values: of `model_data.values` or `soil_data.values`.
-    """
+    """The C files of a model of a name and of the library, in one folder that exists."""
     for part in sorted(os.listdir(os.path.join(library.SOURCES, 'src'))):
         if part.startswith(_SHARED) or part.startswith('lts_soil') == is_soil(values):
             copy(f'src/{part}', folder)
@@ -92,10 +86,9 @@ def model_source(name: str, values: dict) -> str:
 
 
 def write(folder: str, name: str, values: dict) -> None:
-    """Writes the project.
+    """Writes the project into a folder that exists and is empty.
 
     Args:
-      folder: exists and is empty.
       name: of `symbol`.
       values: of `model_data.values` or `soil_data.values`.
     """
@@ -142,16 +135,11 @@ def words(name: str, values: dict) -> dict:
 
 
 def copy(part: str, folder: str) -> None:
-    """Copies a file of native/ into a folder."""
     shutil.copy(os.path.join(library.SOURCES, part), folder)
 
 
 def write_template(template: str, target: str, words: dict) -> None:
-    """Writes a file of native/ with each @WORD@ replaced.
-
-    Raises:
-      KeyError: the template has a word that is not given.
-    """
+    """Writes a file of native/ with each @WORD@ replaced; KeyError for a word that is not given."""
     with open(os.path.join(library.SOURCES, template), encoding='utf-8') as file:
         text = re.sub(r'@([A-Z_]+)@', lambda match: str(words[match[1]]), file.read())
     with open(target, 'w', encoding='utf-8') as file:

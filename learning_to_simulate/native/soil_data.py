@@ -24,14 +24,8 @@ _BITS = {
 
 
 def values(field) -> dict:
-    """The fields of `lts_soil_model`.
-
-    Args:
-      field: `SoilField`.
-
-    Raises:
-      ValueError: a network or inputs that the C code cannot run.
-    """
+    """The fields of `lts_soil_model` of a `SoilField`; ValueError for one that the C code cannot
+    run."""
     networks, c, grid = field.networks, library.constants(), sweep.GRID
     tool, limits, tabled = networks.tool, field.limits, networks.tables
     if not all(networks.hidden.values()):
@@ -138,12 +132,10 @@ def _check(result, c):
 
 
 def _farthest(*tables_of_load):
-    """The largest offset of tables, m."""
     return max(np.abs(row.at).max() for table in tables_of_load for row in table.rows if row.at)
 
 
 def _bit(name):
-    """The status of a number that is outside its range."""
     return next((bit for bit, names in _BITS.items() if name in names), 'LTS_OUTSIDE_POSE')
 
 

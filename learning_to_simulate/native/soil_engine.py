@@ -19,12 +19,7 @@ _TOOL = ('width', 'radius', 'length', 'bucket', 'plates', 'lugs', 'lug_height')
 
 
 def of(field, terrain, tool, members: int | None = None, kind: str = BEST):
-    """The engine of a `SoilStepper`; arguments as there.
-
-    Raises:
-      ValueError: an unknown kind; with 'c' a field that has no C form.
-      library.NoCompiler: with 'c', where there is no compiler.
-    """
+    """The engine of a `SoilStepper`; arguments and errors as there."""
     if kind not in (BEST, C, TENSORFLOW):
         raise ValueError(f'engine is {kind!r}, must be one of {(BEST, C, TENSORFLOW)}')
     why = ''
@@ -39,14 +34,7 @@ def of(field, terrain, tool, members: int | None = None, kind: str = BEST):
 
 
 class Library:
-    """A soil field in a shared library.
-
-    Args:
-      loaded: `library.declared` of it.
-      model: address of its `lts_soil_model`.
-      kernel: 'best', 'avx512', 'avx2', 'vector4' (SSE2, NEON) or 'scalar'.
-      data: kept as long as the instance: what the model lies in.
-    """
+    """A soil field in a shared library; arguments as of `binding.CSubspace`."""
 
     def __init__(self, loaded: ctypes.CDLL, model: int, kernel: str = 'best', data=None):
         self.c, self.model, self._data = loaded, model, data
@@ -54,7 +42,7 @@ class Library:
 
     @classmethod
     def of(cls, values: dict, kernel: str = 'best') -> 'Library':
-        """Of `soil_data.values`, by the library of this machine, whose errors this raises."""
+        """Of `soil_data.values`, by the library of this machine."""
         data = c_values.Structure('lts_soil_model', values)
         return cls(library.load(), ctypes.addressof(data.value), kernel, data)
 
@@ -81,7 +69,7 @@ def ground_of(terrain):
 
 
 class _Instance:
-    """A tool in memory of its own; arguments as of `CEngine`."""
+    """A tool in memory of its own, of a `Library` and what `SoilStepper` takes."""
 
     def __init__(self, loaded: Library, terrain, tool, members):
         self.loaded, self.terrain, self.tool, self._members = loaded, terrain, tool, members
@@ -120,7 +108,6 @@ class _Instance:
 
     @property
     def place(self) -> Place:
-        """Of the passage that the tool is on."""
         found = np.empty((3, 3))
         self.call('place', found)
         return Place(*found)
@@ -144,15 +131,8 @@ def _close(c, soil, *kept):
 
 
 class CEngine(_Instance):
-    """Frames by C.
-
-    Args:
-      loaded: `Library`.
-      terrain, tool, members: of `SoilStepper`.
-
-    Raises:
-      ValueError: a kernel that this machine lacks.
-    """
+    """Frames by C, of a `Library` and what `SoilStepper` takes; ValueError for a kernel that this
+    machine lacks."""
 
     def __init__(self, loaded: Library, terrain, tool, members=None):
         super().__init__(loaded, terrain, tool, members)
@@ -173,7 +153,6 @@ class CEngine(_Instance):
 
     @property
     def place(self) -> Place:
-        """Of the passage that the tool is on."""
         if self._place is None:
             self._place = super().place
         return self._place
@@ -184,7 +163,6 @@ class CEngine(_Instance):
 
     @property
     def footprint(self):
-        """See `Terrain.add_work`."""
         if self._last is None:
             return None
         found = np.empty(3)
@@ -193,11 +171,9 @@ class CEngine(_Instance):
 
     @property
     def spot(self):
-        """See `engine.TfEngine`."""
         return None if self._last is None else (self._last[[0, 2]], self.tool.width)
 
     def start(self, pose):
-        """See `SoilStepper`; so are the others."""
         pose = engine.unit_pose(pose)
         engine.refuse_floor(pose, self.tool, self.terrain)
         place_of(pose)
@@ -215,7 +191,6 @@ class CEngine(_Instance):
         return self._frame()
 
     def tangent(self, direction, dt: float, reach: float):
-        """See `engine.TfEngine`."""
         self.settle()
         found = np.empty(6)
         self.call('tangent', None, dt, np.array(direction, np.float64), reach, found)
@@ -266,13 +241,11 @@ class CEngine(_Instance):
         return Judgement(status, found.frame, found.node, text.value.decode())
 
     def clone(self, terrain) -> 'CEngine':
-        """The same at the same point, on a clone of the terrain."""
         other = self._copied(terrain)
         other._last, other._passage, other._place = self._last, self._passage, self._place
         return other
 
     def anchor(self, pose, set_down: bool = False) -> 'CAnchor':
-        """From where particles are followed."""
         return CAnchor.at(self, pose, set_down)
 
 
@@ -281,22 +254,18 @@ class CAnchor(_Instance):
 
     @classmethod
     def at(cls, other: _Instance, pose, set_down: bool) -> 'CAnchor':
-        """Of the tool of another, at a pose [7]."""
         found = cls(other.loaded, other.terrain, other.tool, other._members)
         found.settle()
         found.call('anchor', np.array(pose, np.float64), int(set_down))
         return found
 
     def leaves(self, pose) -> bool:
-        """Whether the bins move on where the tool goes to a pose [7]."""
         return bool(self.call('reads', np.array(pose, np.float64)))
 
     def follow(self, pose, dt: float) -> None:
-        """Follows the tool to a pose [7] that it reaches within dt s."""
         pose = np.array(pose, np.float64)
         self.settle(pose)
         self.call('follow', pose, dt)
 
     def clone(self, terrain) -> 'CAnchor':
-        """The same on a clone of the terrain."""
         return self._copied(terrain)

@@ -5,10 +5,9 @@ from learning_to_simulate.soil_field import inputs
 
 
 def values(table: inputs.Table, scalars, channels: dict[str, int]) -> dict:
-    """`lts_table` of a table.
+    """`lts_table` of a table of inputs.
 
     Args:
-      table: of inputs.
       scalars: names of a frame's, in their order.
       channels: name of a channel of the bins -> its number in C.
 

@@ -35,20 +35,12 @@ _PARTS = {'STYLE': 'style.css', 'SCENE': 'scene.js', 'PLOT': 'plot.js', 'MACHINE
 
 
 def is_available() -> bool:
-    """Whether the compiler is there."""
     return importlib.util.find_spec('ziglang') is not None
 
 
 def compile_model(name: str, values: dict) -> bytes:
-    """The WebAssembly of a soil field.
-
-    Args:
-      name: of `project.symbol`.
-      values: of `soil_data.values`.
-
-    Raises:
-      ValueError: no compiler for it, or one that does not compile it; the message has its words.
-    """
+    """The WebAssembly of a soil field, of `project.symbol` and `soil_data.values`; ValueError where
+    no compiler is there or it fails: with its words."""
     if not is_available():
         raise ValueError(f'there is no compiler for WebAssembly, which a page needs: {MISSING}')
     from learning_to_simulate.native import project  # loads TensorFlow
@@ -72,11 +64,7 @@ def compile_model(name: str, values: dict) -> bytes:
 
 
 def ghost(run) -> dict:
-    """A recorded run as the page reads it: all numbers as text of few digits.
-
-    Args:
-      run: `soil_field.runs.Run`.
-    """
+    """A recorded `soil_field.runs.Run` as the page reads it: all numbers as text of few digits."""
     before, tool = run.before(), run.tool
     steps = np.rint((run.heights - before.heights) / 1e-4).clip(-32768, 32767).astype('<i2')
     bed = np.rint(before.heights / 1e-5).astype('<i4')
@@ -98,16 +86,12 @@ def ghost(run) -> dict:
 
 
 def write(path: str, name: str, field, run=None) -> None:
-    """Writes the page.
+    """Writes the page as one HTML file; ValueError as of `compile_model`, or for more than 3 MB.
 
     Args:
-      path: of the HTML file.
       name: of `project.symbol`.
       field: `SoilField`.
       run: `soil_field.runs.Run` that is played beside; None for none.
-
-    Raises:
-      ValueError: as of `compile_model`; a page of more than 3 MB.
     """
     from learning_to_simulate.native import project, soil_data  # load TensorFlow
 
@@ -167,21 +151,17 @@ def export(model_path: str, output_path: str, data_path: str | None = None) -> N
         if run is None:
             raise ValueError(f'{data_path}: no test run of a {kind}')
     os.makedirs(folder, exist_ok=True)
-    files.write_atomically(
-        output_path, lambda part: write(part, project.symbol(path), field, run)
-    )
+    files.write_atomically(output_path, lambda part: write(part, project.symbol(path), field, run))
     print(f'wrote {output_path} ({os.path.getsize(output_path) / 1e6:.2g} MB)')
 
 
 def define_flags() -> None:
-    """Defines the flags of `lts live`."""
     flags.DEFINE_string('model_path', 'excavation', 'Soil field: a path or a shipped name.')
     flags.DEFINE_string('data_path', None, 'Dataset with a run of the solver to play beside.')
     flags.DEFINE_string('output_path', None, 'HTML file to write; nothing is opened then.')
 
 
 def run(values) -> None:
-    """Runs `lts live`; raises as `export`."""
     path = values.output_path
     if path is None:
         path = os.path.join(tempfile.mkdtemp(prefix='lts-'), 'page.html')

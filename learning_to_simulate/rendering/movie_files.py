@@ -26,11 +26,9 @@ _OPTIONS = {
 
 
 def write(path: str, kind: str, frames: Iterable[np.ndarray], frame_seconds: float) -> None:
-    """Writes a movie. Until a GIF has its palette ffmpeg holds all frames, 2 MB each.
+    """Writes a GIF or MP4. Until a GIF has its palette ffmpeg holds all frames, 2 MB each.
 
     Args:
-        path: the file.
-        kind: gif or mp4.
         frames: uint8 [height, width, 3] each, both sizes even.
         frame_seconds: time that a frame is shown.
 

@@ -75,7 +75,7 @@ class ViewSetup:
 
     @property
     def aspect(self) -> float:
-        """Height of the view over its width."""
+        """Height over width."""
         width, height = self.limits[:, 1] - self.limits[:, 0]
         return float(height / width)
 
@@ -182,12 +182,10 @@ class ParticleView:
 
     @property
     def artists(self) -> list:
-        """What moves, in the order of drawing."""
         moving = [self.soil, self.body, self.spokes, self.arrow]
         return [artist for artist in moving if artist is not None]
 
     def update(self, i: int) -> None:
-        """Moves everything to the i-th shown frame."""
         frame = self._frames.frames[i]
         if self.soil is not None:
             self._update_soil(i)

@@ -67,11 +67,7 @@ class AnimatedFigure:
     """Truth, where there is one, and predictions of the same run side by side over time.
 
     What stands still is drawn once and restored as an image; only what moves is drawn in every
-    frame. `color_by` is `speed` or `error`; the figure is `WIDTH` inches wide.
-
-    Attributes:
-        views: the `ParticleView` of the truth and those of the predictions.
-        caption: the text of time and errors.
+    frame. `views` are the `ParticleView`s, `caption` is the text of time and errors.
     """
 
     def __init__(
@@ -162,12 +158,8 @@ def strip_figure(
 
 
 def caption(models: Sequence[RolloutFrames], i: int | None = None) -> str:
-    """The errors of each model in words, a line each.
-
-    Args:
-        models: rollouts of one run.
-        i: the shown frame that they are of (its soil, and the force so far); None for all frames.
-    """
+    """The errors of each model of one run in words, a line each: of the i-th shown frame (its soil,
+    and the force so far), or of all frames."""
     first = models[0]
     last = None if i is None else int(first.frames[i])
     time = '' if last is None else f't = {first.time[last]:.2f} s   '
@@ -320,7 +312,6 @@ class _Page:
         return axes
 
     def add_color_bar(self, first_row: int, last_row: int, color_by: str) -> None:
-        """Colour bar at the right end of some rows."""
         bottom = self._row_bottom(last_row)
         height = self._row_bottom(first_row) + self._view_height - bottom
         axes = self._add_axes(WIDTH - _RIGHT + 0.12, bottom, 0.13, height)

@@ -93,7 +93,6 @@ class RolloutFrames:
 
     @property
     def n_frames(self) -> int:
-        """T."""
         return len(self.rigid[PREDICTION])
 
     @property
@@ -108,17 +107,15 @@ class RolloutFrames:
 
     @property
     def has_truth(self) -> bool:
-        """Whether the run was recorded, so that there are errors to show."""
+        """Whether the run was recorded."""
         return TRUTH in self.rigid
 
     @property
     def model(self) -> str:
-        """What the prediction is called."""
         return self.label or PREDICTION
 
     @functools.cached_property
     def time(self) -> np.ndarray:
-        """[T] s."""
         return self.dt * np.arange(self.n_frames)
 
     def soil_velocity(self, which: str, i: int) -> np.ndarray:
@@ -162,20 +159,18 @@ class RolloutFrames:
 
 
 def load(rollout_path: str, data_path: str | None, label: str = '') -> RolloutFrames:
-    """Reads a rollout and, from the dataset folder, what its soil did.
+    """Reads a rollout and, from the dataset folder, what its soil did; cut before the first frame
+    that is not finite.
 
     Args:
         rollout_path: `rollout_{split}_{i}.npz`.
         data_path: dataset folder; without one, or without `subspace.npz` in it, there is no soil.
         label: name of the model, for titles.
 
-    Returns:
-        The rollout, cut before the first frame that is not finite.
-
     Raises:
         FileNotFoundError: a file or the folder is missing.
-        ValueError: not an `.npz`, a git-lfs pointer, missing keys, shapes that do not fit, NaN in
-            the truth, nothing finite predicted, or a subspace other than the rollout's.
+        ValueError: not an `.npz`, missing keys, shapes that do not fit, NaN in the truth, nothing
+            finite predicted, or a subspace other than the rollout's.
     """
     if rollout_path.endswith(('.pkl', '.pickle')):
         raise ValueError(f'{rollout_path}: is a pickle, which is never read; give the .npz of it')
@@ -415,7 +410,6 @@ def _place(rollout_path: str, arrays) -> tuple[str | None, int | None]:
 
 
 def _title(metadata: dict[str, Any], split: str | None, record: int | None) -> str:
-    """What the run is, as a sentence."""
     scene = metadata.get('scene', {}).get('name') or 'rollout'
     case = soil_truth.of_run(metadata.get('cases'), split, record) or {}
     name = case.get('case', f'{split} record {record}' if record is not None else '')

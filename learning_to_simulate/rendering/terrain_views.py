@@ -37,11 +37,9 @@ def draw(
     arrays: Mapping[str, np.ndarray], path: str, kind: str, name: str, step_stride: int = 8,
     progress: Callable = lambda frames, label: frames,
 ) -> None:  # fmt: skip
-    """Draws a rollout.
+    """Draws a rollout, the arrays of `TerrainRollout.arrays`, into a file.
 
     Args:
-        arrays: of `TerrainRollout.arrays`.
-        path: file to write.
         kind: png (three moments), gif or mp4.
         name: of the run, for the title.
         step_stride: frames between those of a movie; there is one where there is a map.
@@ -135,7 +133,6 @@ def _title(arrays, name):
 
 
 def _extent(arrays):
-    """x and z of the border of the map, m."""
     (x, z), (dx, dz), (nx, nz) = arrays['corner'], arrays['cell'], arrays['heights_before'].shape
     return [x, x + dx * nx, z, z + dz * nz]
 
@@ -206,7 +203,6 @@ def _draw_map(axes, arrays, change, frame, extent, largest):
 
 
 def _draw_force(axes, arrays, frames):
-    """Force against the way and upwards over time."""
     pose = np.asarray(arrays['pose'], float)
     good = np.flatnonzero(np.isfinite(pose).all(axis=1))
     along = _way(pose[good[0]])[0] if len(good) else np.array([-1.0, 0.0, 0.0])

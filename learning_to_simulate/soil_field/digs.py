@@ -50,16 +50,9 @@ class Dig:
 
 
 def of_dataset(folders: str, cases: list[str]) -> list[Dig]:
-    """Runs of datasets by their cases, with drawbar and vertical force, each on its own bed.
-
-    Args:
-      folders: one, or several separated by commas.
-      cases: such as soils_0007.
-
-    Raises:
-      FileNotFoundError: no such dataset.
-      ValueError: a case that is not in it, or no cases.
-    """
+    """Runs of datasets (folders, separated by commas) by their cases, such as soils_0007, with
+    drawbar and vertical force, each on its own bed; FileNotFoundError, or ValueError for a case
+    that is not in them."""
     found = {}
     for folder in folders.split(','):
         known = dataset.read_metadata(folder).get('cases', {})
@@ -84,10 +77,8 @@ def read(path: str, tool: Tool, terrain: Terrain | None, surface: float, gravity
     """The digs of a CSV file.
 
     Args:
-      path: of the file.
       tool: of all runs.
-      terrain: that each run begins on; None: flat ground.
-      surface: its height, m.
+      terrain: that each run begins on; None: flat ground at `surface`, m.
       gravity: m/s2.
 
     Raises:
@@ -173,7 +164,6 @@ def _poses(columns, terrain):
 
 
 def _check(path, numbers, times, pose):
-    """Refuses times and places in other units or out of order."""
     steps = np.diff(times)
     far = f'rows at most {SLOWEST_ROWS} s apart are taken; are these milliseconds?'
     for is_wrong, what in (

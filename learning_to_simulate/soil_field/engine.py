@@ -43,21 +43,16 @@ class SoilFrame(NamedTuple):
 
     @property
     def status(self) -> RolloutStatus:
-        """The worst status since the start."""
         return self.judgement.status
 
     @property
     def reason(self) -> str:
-        """Value and limits behind the status, in words; '' where it is OK."""
         return self.judgement.reason
 
 
 def unit_pose(pose) -> np.ndarray:
-    """A pose of its own, its quaternion of length 1, that nobody writes into.
-
-    Raises:
-      ValueError: see `checked_pose`.
-    """
+    """A pose of its own, its quaternion of length 1, that nobody writes into; ValueError as
+    `checked_pose`."""
     pose = checked_pose(pose).copy()
     pose[3:] /= np.linalg.norm(pose[3:])
     pose.setflags(write=False)
@@ -88,15 +83,8 @@ def refuse_step(pose, last, dt, tool, terrain) -> None:
 
 
 class TfEngine:
-    """Frames by numpy and TensorFlow.
-
-    Args:
-      field, terrain, tool, members: of `SoilStepper`.
-      why: what keeps this machine from C, for `name`; '' where nobody asked.
-
-    Attributes:
-      name: what computes the frames.
-    """
+    """Frames by numpy and TensorFlow, of what `SoilStepper` takes; `name` says what computes them,
+    and `why` not C ('' where nobody asked)."""
 
     def __init__(self, field, terrain, tool, members, why: str = ''):
         self._field, self._terrain, self._tool, self._members = field, terrain, tool, members
@@ -110,17 +98,14 @@ class TfEngine:
 
     @property
     def place(self) -> Place:
-        """Of the passage that the tool is on."""
         return self._passage.place
 
     def update(self) -> None:
-        """Writes what the tool has done into its terrain; see `Terrain.add_work`."""
         if self._passage is not None:
             self._passage.update()
 
     @property
     def footprint(self):
-        """See `Terrain.add_work`."""
         return None if self._passage is None else self._passage.footprint
 
     def _finish(self):
@@ -131,7 +116,8 @@ class TfEngine:
             self._passage = None
 
     def start(self, pose) -> SoilFrame:
-        """See `SoilStepper`; so are the others."""
+        """See `SoilStepper`; so are `propose`, `step` and `anchor`. What terrains ask for:
+        `Terrain.add_work`."""
         pose = unit_pose(pose)
         refuse_floor(pose, self._tool, self._terrain)
         place_of(pose)  # refuses what would leave the tool without a passage
@@ -199,7 +185,6 @@ class TfEngine:
         return None if self._frame is None else (self._frame.pose[[0, 2]], self._tool.width)
 
     def _conditions(self, passage, pose):
-        """[7] of `field.CONDITIONS`."""
         place, t, width = passage.place, self._terrain, self._tool.width
         _, yaw, roll = place.turns(pose)
         ends = pose[[0, 2]] + np.outer([-width / 2, width / 2], place.across[[0, 2]]) - t.corner
@@ -216,7 +201,6 @@ class TfEngine:
         return np.append([yaw, roll], np.array(found) / passage.scale)
 
     def _seen(self, passage, pose, before):
-        """The frame of a passage at a pose."""
         frame = passage.frame
         loads = self._field.loads(frame, self._members)[:, 0].astype(np.float64) * self._units
         share = self._field.contact(passage, self._members) if loads.any() else 1.0
@@ -240,18 +224,12 @@ class TfEngine:
         return other
 
     def anchor(self, pose, set_down: bool = False) -> 'TfAnchor':
-        """From where particles are followed."""
         return TfAnchor(self._field, self._terrain, self._tool, pose, self._members, set_down)
 
 
 class TfAnchor:
-    """A passage that leaves the terrain alone; how far particles have moved since it began.
-
-    Args:
-      field, terrain, tool, members: of `SoilStepper`.
-      pose: [7] where it begins.
-      set_down: see `SoilStepper.anchor`.
-    """
+    """A passage that leaves the terrain alone; how far particles have moved since it began at a
+    pose [7]. Arguments of `SoilStepper` and `SoilStepper.anchor`."""
 
     def __init__(self, field, terrain, tool, pose, members, set_down):
         self._field, self._members = field, members
@@ -259,7 +237,6 @@ class TfAnchor:
 
     @property
     def place(self) -> Place:
-        """Of the passage."""
         return self._passage.place
 
     def leaves(self, pose) -> bool:
@@ -268,7 +245,6 @@ class TfAnchor:
         return sweep.follow(origin, self._passage.seen(pose)[0]) != origin
 
     def follow(self, pose, dt: float) -> None:
-        """Follows the tool to a pose [7] that it reaches within dt s."""
         self._passage.step(pose, dt)
 
     def displaced(self, rest) -> np.ndarray:
@@ -283,7 +259,6 @@ class TfAnchor:
         return points
 
     def clone(self, terrain) -> 'TfAnchor':
-        """The same on a clone of the terrain."""
         other = copy.copy(self)
         other._passage = self._passage.clone(terrain, None)
         return other

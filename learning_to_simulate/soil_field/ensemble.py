@@ -5,14 +5,8 @@ import tensorflow as tf
 
 
 class Members(tf.Module):
-    """M multilayer perceptrons of one shape, evaluated together.
-
-    Args:
-      members: M.
-      sizes: of all layers, inputs and outputs included.
-      seed: of the first weights.
-      name: of the variables.
-    """
+    """M multilayer perceptrons of one shape, evaluated together; `sizes` are of all layers, inputs
+    and outputs included."""
 
     def __init__(self, members: int, sizes, seed: int, name: str):
         super().__init__(name=name)

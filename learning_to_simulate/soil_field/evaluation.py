@@ -55,25 +55,17 @@ JUDGED = (
 
 
 class SoilEvaluator:
-    """Rolls out a field along runs and judges it, as `evaluation.Evaluator`.
-
-    Args:
-      field: `SoilField`.
-      members: networks that answer; None: all.
-      under_load: whether runs are also predicted from what moved their tool; it takes ten times as
-        long.
-    """
+    """Rolls out a field along runs and judges it, as `evaluation.Evaluator`; `members` of its
+    networks (None: all). `under_load`: runs are also predicted from what moved their tool; it takes
+    ten times as long."""
 
     def __init__(self, field, members: int | None = None, under_load: bool = True):
         self._field, self._members, self._under_load = field, members, under_load
 
     def roll_out(self, run: Run, under_load: bool = False) -> TerrainRollout:
-        """The rollout of a run along its path, or under what moved its tool. One that the model
-        refuses is not a number from the start, and its judgement says why.
-
-        Raises:
-          ValueError: a run that does not record what moved its tool.
-        """
+        """The rollout of a run along its path, or under what moved its tool (ValueError where it
+        does not record that). One that the model refuses is not a number from the start, and its
+        judgement says why."""
         if under_load and run.machine is None:
             raise ValueError(f'run {run.case} does not record what moved its tool')
         terrain, name = run.before(), f'rollout_{run.case}'
@@ -152,7 +144,6 @@ def _refused(run, name, reason):
 
 
 def of_rollout(rollout: TerrainRollout, run: Run) -> dict:
-    """Errors, status and time of the rollout of a run."""
     judgement = rollout.judgement
     found = load_errors(run, rollout.force[H:], rollout.torque[H:])
     found |= terrain_errors(run, rollout.heights) | soil_errors(run, rollout.particles)
@@ -191,22 +182,14 @@ def _bound_figures(rollout, run):
 
 
 def _inside(rollout) -> np.ndarray:
-    """bool [T - H]: which frames are inside of training."""
     return np.array([status == RolloutStatus.OK for status in rollout.frame_status[H:]], bool)
 
 
 def bounds_of(results, rows: list[dict]) -> dict:
-    """Bounds of a field.
-
-    Args:
-      results: of `SoilEvaluator.run`, of valid runs: no training has seen them, and none has chosen
-        when a training ends, which is after the steps of its preset.
-      rows: errors of the model on these.
-
-    Returns:
-      `SoilField.bounds`; {} where the field answers none of the runs. Runs that it refuses do not
-      count, nor do frames that it flags.
-    """
+    """`SoilField.bounds` of results and rows of errors of valid runs: no training has seen them,
+    and none has chosen when a training ends, which is after the steps of its preset. {} where the
+    field answers none of the runs. Runs that it refuses do not count, nor do frames that it
+    flags."""
     runs, near, kinds = [], [], []
     for (_, _, rollout), row in zip(results, rows, strict=True):
         inside = _inside(rollout)

@@ -63,12 +63,11 @@ class SoilField:
 
     @property
     def judged_names(self) -> tuple[str, ...]:
-        """Names of the columns of `judged`."""
+        """Of the columns of `judged`."""
         return (*_SCALARS, *self.networks.tool.scalars, *_OF_BINS, *CONDITIONS)
 
     @property
     def limits(self) -> Ranges:
-        """What frames are judged by."""
         names = self.judged_names
         known = self._known
         low, high = np.array([known[name] for name in names], float).T
@@ -77,7 +76,6 @@ class SoilField:
 
     @property
     def middle(self) -> np.ndarray:
-        """[N] of the ranges of `judged`."""
         known = self._known
         return np.array([np.mean(known.get(name, (0, 0))) for name in self.judged_names])
 
@@ -200,11 +198,8 @@ def named(tool) -> int:
 
 
 def save(path: str, field: SoilField) -> None:
-    """Writes a model folder, config.json last: it says that the rest is there.
-
-    Raises:
-      ValueError: weights that are not finite; nothing is written.
-    """
+    """Writes a model folder, config.json last: it says that the rest is there. ValueError for
+    weights that are not finite: nothing is written."""
     arrays = {name: v.numpy() for name, v in _weights(field.networks).items()}
     if bad := [name for name, v in arrays.items() if not np.isfinite(v).all()]:
         raise ValueError(f'{path}: not saved, weights are not finite: {bad[:3]}')
@@ -226,12 +221,8 @@ def save(path: str, field: SoilField) -> None:
 
 
 def load(path: str) -> SoilField:
-    """Reads a model folder.
-
-    Raises:
-      FileNotFoundError: no model there.
-      ValueError: a damaged one, or one of another method.
-    """
+    """Reads a model folder; FileNotFoundError: no model there; ValueError: a damaged one, or one of
+    another method."""
     stored = checkpoints.read_config(path)
     arrays = checkpoints.stored_weights(path)
     with checkpoints.refusing_wrong_fields(path):
@@ -265,7 +256,6 @@ def _bounds(stored):
 
 
 def _weights(networks) -> dict:
-    """Name -> variable, the same in every process."""
     return {
         f'{name}/{i}/{kind}': variable
         for name in network.HIDDEN

@@ -107,19 +107,13 @@ class Fit:
         return '\n'.join(lines)
 
     def to_json(self) -> dict:
-        """All but the curves."""
         return {
             f.name: getattr(self, f.name) for f in dataclasses.fields(self) if f.name != 'curves'
         }
 
 
 class Rolled:
-    """A dig as a field sees it at K angles.
-
-    Args:
-      field: `SoilField`.
-      dig: `digs.Dig`.
-      progress: wraps the angles.
+    """A dig as a field sees it at K angles; `progress` wraps these.
 
     Attributes:
       angles: float64 [K], deg, evenly spaced over all that the field was taught.
@@ -189,11 +183,7 @@ def _rolled_out(field, dig, angle):
 
 
 def fit(rolled: Sequence[Rolled], density: float | None = None) -> Fit:
-    """The soil for which a field meets digs best.
-
-    Args:
-      rolled: digs in one soil, seen by one field.
-      density: kg/m3, where it is known.
+    """The soil for which a field meets digs in it best; of a density, kg/m3, where it is known.
 
     Raises:
       ValueError: no digs, a density of no soil, forces that push where soil resists.
@@ -364,7 +354,6 @@ def draw(found: Fit, path: str) -> None:
 
 
 def run(values, arguments) -> None:
-    """Runs the command."""
     if len(arguments) != 1:
         raise ValueError('one CSV file, or one dataset with --cases, was expected')
     source = arguments[0]

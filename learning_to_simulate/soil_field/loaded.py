@@ -78,16 +78,13 @@ class LoadedTool:
         self._slow = 0.0  # u of (21)
 
     def step(self, pose, force=(0.0, 0.0, 0.0), torque: float = 0.0, dt: float = DT) -> SoilFrame:
-        """Moves the tool by dt s.
+        """Moves the tool by dt s; returns the frame of `SoilStepper.step`, whose force holds D of
+        (21).
 
         Args:
           pose: [7]; where coordinates are free, what actuators pull towards.
           force: [3] N, world, on the tool beside soil, weight and actuators.
           torque: N m about the axis across, likewise.
-          dt: s.
-
-        Returns:
-          the frame of `SoilStepper.step`; its force holds D of (21).
 
         Raises:
           ValueError: see `SoilStepper.step`; the tool and its velocity stay as they were.

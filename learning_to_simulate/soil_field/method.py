@@ -83,8 +83,7 @@ class Saved:
     is lost when it is killed.
 
     Args:
-      model_path: its folder.
-      parts: what is trained and on what, for JSON; another training is refused.
+      parts: what is trained and on what, for JSON.
       every: steps between saves.
 
     Attributes:
@@ -118,11 +117,8 @@ class Saved:
         return step, self._arrays[f'{name}/losses'].tolist()
 
     def keep(self, name: str, step: int, last: bool, variables, losses) -> None:
-        """Writes what a network is after a step, where it is due.
-
-        Raises:
-          SystemExit: somebody asked for an end.
-        """
+        """Writes what a network is after a step, where it is due; SystemExit where somebody asked
+        for an end."""
         number = self.stop.number if self.stop else None
         if not (step % self._every == 0 or last or number):
             return
@@ -134,7 +130,6 @@ class Saved:
             raise SystemExit(self.stop.exit_code)  # type: ignore[union-attr]
 
     def remove(self) -> None:
-        """Deletes the file: the model is there."""
         os.remove(self._path)
 
 
@@ -145,11 +140,8 @@ def _read(folders, split, is_needed=True) -> list[Run]:
 
 
 def one_tool(runs: list[Run], data_path: str) -> str:
-    """The name of the kind of tool of all runs.
-
-    Raises:
-      ValueError: no runs, or runs of blades and of wheels.
-    """
+    """The name of the kind of tool of all runs; ValueError for no runs, or runs of blades and of
+    wheels."""
     kinds = sorted({run.tool.name for run in runs})
     if len(kinds) != 1:
         found = f'runs of {" and ".join(kinds)}' if kinds else 'no runs'
@@ -162,7 +154,6 @@ def _bar(name):
 
 
 def load(model_path: str) -> field_lib.SoilField:
-    """A trained field; raises as `field.load`."""
     return field_lib.load(model_path)
 
 

@@ -119,7 +119,6 @@ class Passage:
             self._take_all()
 
     def _take_all(self):
-        """Goes over from one strip to all of them."""
         self._looks = False
         self._take(strips_lib.strips_of(self.tool))
         self.state = sweep.Sweep(*(np.repeat(x, len(self._radius), axis=0) for x in self.state))
@@ -136,12 +135,8 @@ class Passage:
         self.state = sweep.advance(self.state, rows, turn, self._radius, dt, self._read, self._grid)
 
     def step(self, pose, dt: float) -> None:
-        """Moves the tool in a straight line to a pose [7] within dt s.
-
-        Raises:
-          ValueError: a time that does not pass, no pose, or one farther away than `MAX_STEP`;
-            the passage is as it was.
-        """
+        """Moves the tool in a straight line to a pose [7] within dt s; ValueError for a time that
+        does not pass, no pose, or one farther away than `MAX_STEP`: the passage is as it was."""
         check_time(dt)
         coming = self.seen(pose)
         change = coming - self._pose
@@ -162,7 +157,6 @@ class Passage:
 
     @property
     def carried(self) -> np.ndarray:
-        """[J] m2 of the field: (19)."""
         return sweep.all_cut(self.state, self._grid) + self._owed_now
 
     @property

@@ -61,11 +61,8 @@ class Place(NamedTuple):
 
 
 def place_of(pose) -> Place:
-    """The place of a tool at a pose [7] that goes where it looks.
-
-    Raises:
-        ValueError: a pose that is not finite, or a tool on its side, so that it looks nowhere.
-    """
+    """The place of a tool at a pose [7] that goes where it looks; ValueError for a pose that is not
+    finite, or a tool on its side, so that it looks nowhere."""
     pose = checked_pose(pose)
     across = rotation(pose) @ UPRIGHT[2] * np.array([1.0, 0.0, 1.0])
     length = np.linalg.norm(across)
@@ -76,12 +73,8 @@ def place_of(pose) -> Place:
 
 
 def checked_pose(pose) -> np.ndarray:
-    """A pose [7] as float64.
-
-    Raises:
-        ValueError: another shape, values that are not finite, or a quaternion that is not of
-          length 1 (to 1e-3).
-    """
+    """A pose [7] as float64; ValueError for another shape, values that are not finite, or a
+    quaternion that is not of length 1 (to 1e-3)."""
     pose = np.asarray(pose, np.float64)
     if pose.shape != (7,) or not np.isfinite(pose).all():
         raise ValueError(f'pose is {pose}, place in m and unit quaternion [7] were expected')

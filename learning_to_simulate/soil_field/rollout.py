@@ -68,22 +68,19 @@ class TerrainRollout:
 
     @property
     def status(self) -> RolloutStatus:
-        """How far the rollout can be trusted."""
         return self.judgement.status
 
     @property
     def reason(self) -> str:
-        """Value and limits behind the status, in words; '' where it is OK."""
         return self.judgement.reason
 
     @property
     def time(self) -> np.ndarray:
-        """float64 [T], s."""
         return self.dt * np.arange(len(self))
 
     @property
     def judgements(self) -> list[Judgement]:
-        """As of `rollout.Rollout`, of one run."""
+        """As of `rollout.Rollout`."""
         return [self.judgement]
 
     def arrays(self) -> dict[str, np.ndarray]:
@@ -122,23 +119,12 @@ class TerrainRollout:
         return found
 
     def save(self, path: str) -> None:
-        """Writes an `.npz` that `lts render` draws, whole or not at all.
-
-        Raises:
-          OSError: it cannot be written.
-        """
+        """Writes an `.npz` that `lts render` draws, whole or not at all."""
         files.write_npz(path, **self.arrays())
 
     def render(self, path: str, **options) -> None:
-        """Draws the rollout; the ending of the path (.png, .gif, .mp4) decides how.
-
-        Args:
-          path: file to write.
-          **options: of `terrain_views.draw`.
-
-        Raises:
-          ValueError: another ending, or a package for pictures is missing (pip install .[viz]).
-        """
+        """Draws the rollout into a file .png, .gif or .mp4; options of `terrain_views.draw`.
+        ValueError: another ending, or a package for pictures is missing (pip install .[viz])."""
         from learning_to_simulate import render_rollout
 
         render_rollout.draw_terrain(self.arrays(), path, self.name, **options)
@@ -156,20 +142,13 @@ def outline(tool: Tool) -> np.ndarray:
 
 
 class Followed(Tracer):
-    """Given particles, followed from before a tool is set down.
-
-    Args:
-      stepper: of the tool.
-      pose: [7], where the tool is about to be set down.
-      points: [P, 3], m, at that moment.
-    """
+    """Given particles [P, 3], m, followed from before a tool is set down at a pose [7]."""
 
     def __init__(self, stepper: SoilStepper, pose, points):
         self._engine, self._rest, self._pose = stepper, np.array(points, np.float64), pose
         self._anchored = stepper.anchor(pose, set_down=True)
 
     def begin(self, pose) -> None:
-        """Goes on from here, as where the tool begins a passage of another place."""
         self._rest, self._pose = self.points().astype(np.float64), pose
         self._anchor()
 

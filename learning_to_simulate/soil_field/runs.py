@@ -78,7 +78,6 @@ class Run(NamedTuple):
 
 
 def tool_of(case: dict) -> Tool:
-    """The tool of a run, from its parameters."""
     outline = case.get('tool') or {}
     if 'diameter_m' in case:
         lugs = outline.get('grousers') or {}
@@ -164,8 +163,7 @@ def machine_of(case: dict, record: dataset.Trajectory) -> Machine | None:
 
 
 def soil_of(case: dict) -> Soil:
-    """The soil of a run, from its parameters; gravity and friction angle of those that say none are
-    the usual ones."""
+    """The soil of a run, from its parameters or the usual one."""
     usual = Soil()
     return Soil(
         float(case.get('friction_angle_deg', usual.friction_angle_deg)),

@@ -63,17 +63,14 @@ class SoilStepper:
 
     @property
     def frame(self) -> SoilFrame:
-        """The newest frame."""
+        """The newest; ValueError before the start."""
         if self._frame is None:
             raise ValueError('the tool stands nowhere yet: call start()')
         return self._frame
 
     def start(self, pose) -> SoilFrame:
-        """Sets the tool down from above at a pose [7].
-
-        Raises:
-          ValueError: a pose that is none, or under the floor of the terrain.
-        """
+        """Sets the tool down from above at a pose [7]; ValueError for what is none, or is under the
+        floor."""
         self._frame, self._tracer = self._engine.start(pose), None
         return self._frame
 
@@ -83,12 +80,9 @@ class SoilStepper:
         return self._engine.propose(pose, dt)
 
     def step(self, pose, dt: float = DT) -> SoilFrame:
-        """Moves the tool in a straight line to a pose [7] within dt s.
-
-        Raises:
-          ValueError: a pose that is none, jumps, or is under the floor; a time that does not pass;
-            the tool stays where it was.
-        """
+        """Moves the tool in a straight line to a pose [7] within dt s; ValueError for a pose that
+        is none, jumps, or is under the floor, or a time that does not pass: the tool stays where it
+        was."""
         _ = self.frame
         place = None if self._tracer is None else self._engine.place
         self._frame = frame = self._engine.step(pose, dt)
@@ -131,12 +125,8 @@ class SoilStepper:
 
     def stiffness(self, dt: float = DT, reach: float = 1e-4) -> np.ndarray:
         """How force and torque [6] answer to where the tool goes next: [6, 3] by u and height (m)
-        and lean (rad) of the coming pose, N/m and so on, from central differences.
-
-        Args:
-          dt: duration of the coming frame, s.
-          reach: m, and rad times 0.1 m, of the differences.
-        """
+        and lean (rad) of the coming pose, N/m and so on, from central differences over `reach` m
+        (rad times 0.1 m) in a frame of dt s."""
         place, nowhere = self.place, np.zeros(3)
         ways = [[place.along, nowhere], [UP, nowhere], [nowhere, place.across]]
         columns = [self._engine.tangent(np.concatenate(way), dt, reach) for way in ways]

@@ -72,7 +72,6 @@ class Terrain:
         self._works.append(weakref.ref(work))
 
     def others(self, work) -> list:
-        """All works but one."""
         return [other for other in self._alive() if other is not work]
 
     def is_crowded(self, work) -> bool:
@@ -84,13 +83,9 @@ class Terrain:
         return any(np.hypot(*(there - here)) < reach + other for there, other in others)
 
     def settle(self, cells, keep=()) -> None:
-        """Lets soil slide where the slope at some cells [K] (numbers in the flat map) is steeper
-        than its angle of repose, which is its friction angle; no soil is lost.
-
-        Args:
-          cells: they and what lies near them.
-          keep: cells that stay as they are.
-        """
+        """Lets soil slide where the slope at some cells [K] (numbers in the flat map), or near
+        them, is steeper than its angle of repose, which is its friction angle; no soil is lost, and
+        cells `keep` stay as they are."""
         if not np.size(cells):
             return
         i, k = np.divmod(cells, self.shape[1])
@@ -149,12 +144,8 @@ class Terrain:
 
     @classmethod
     def load(cls, path: str) -> 'Terrain':
-        """Reads what `save` has written.
-
-        Raises:
-          FileNotFoundError: no such file.
-          ValueError: it holds no terrain.
-        """
+        """Reads what `save` has written; FileNotFoundError, or ValueError where it holds no
+        terrain."""
         arrays = files.read_npz(path)
         try:
             soil = Soil(*map(float, arrays['soil']))
@@ -174,7 +165,6 @@ class Terrain:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """nx, nz."""
         return self._heights.shape
 
     def write(self, cells, heights) -> None:

@@ -22,15 +22,12 @@ LEAN = 0.1  # m of the field that a blade turns by with a change of lean of 1 ra
 
 @dataclasses.dataclass(frozen=True)
 class Soil:
-    """Dry soil.
+    """Dry soil; ValueError for a value that no soil has.
 
     Attributes:
       friction_angle_deg: of the soil in itself.
       density: kg/m3, as packed.
       gravity: m/s2.
-
-    Raises:
-      ValueError: a value that no soil has.
     """
 
     friction_angle_deg: float = 37.2348
@@ -57,12 +54,8 @@ class Soil:
 
 @dataclasses.dataclass(frozen=True)
 class Tool(abc.ABC):
-    """What a field must know of a tool.
-
-    Attributes:
-      width: across the way, m.
-      radius: of the lower edge or of the rim, m.
-    """
+    """What a field must know of a tool: its width across the way, and the radius of its lower edge
+    or of its rim, m."""
 
     width: float
     radius: float

@@ -19,15 +19,7 @@ SPACING, DEPTH = 0.02, 0.15  # of the lattice and how deep it reaches, m of the 
 
 
 class Tracer:
-    """Particles about a tool.
-
-    Args:
-      engine: of the tool.
-      terrain: that the tool works on; is not changed.
-      tool: what goes.
-      pose: [7] now.
-      spacing, depth: of the lattice, m of the field.
-    """
+    """Particles about a tool with an engine at a pose [7]; the terrain is not changed."""
 
     def __init__(
         self, engine, terrain: Terrain, tool: Tool, pose, spacing: float = SPACING,

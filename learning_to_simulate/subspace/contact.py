@@ -42,7 +42,6 @@ class Contact:
 
     @classmethod
     def of_statistics(cls, contact, surface, scene) -> 'Contact':
-        """The reader of `to_statistics`."""
         surface = np.asarray(surface, np.float32)
         weights = surface[:, 2:].T.reshape(scene.n_modes, -1, len(surface))
         axis, clear = map(float, contact)
@@ -79,18 +78,9 @@ class Contact:
 
 
 def fit(groups, subspace: Subspace, origin, scene) -> Contact | None:
-    """The reader for training runs.
-
-    Args:
-      groups: `RunGroup`s.
-      subspace: of the modes that are nodes.
-      origin: [r, D] of the modes, m.
-      scene: of the runs.
-
-    Returns:
-      None where there is nothing to find: no force, not one body in space whose whole motion is
-      given, or tools that hardly leave the soil.
-    """
+    """The reader for training runs (list of `RunGroup`), with the subspace of the modes that are
+    nodes and their origin [r, D], m. None where there is nothing to find: no force, not one body in
+    space whose whole motion is given, or tools that hardly leave the soil."""
     is_one = scene.rigid_motion == RigidMotion.PRESCRIBED and not scene.bodies
     if not is_one or not scene.has_force or origin.shape[1] != 3:
         return None

@@ -30,11 +30,7 @@ OPEN_THRESHOLD = 0.5
 
 
 class EdgeGates(tf.Module):
-    """Gates of the r² edges between modes, self-edges included.
-
-    Args:
-      n_modes: r.
-    """
+    """Gates of the r² edges between modes, self-edges included."""
 
     def __init__(self, n_modes: int):
         super().__init__(name='edge_gates')
@@ -47,12 +43,7 @@ class EdgeGates(tf.Module):
 
     def sample(self, n_graph: int, seed):
         """Gates of B graphs, float32 [B, r, r] in [0, 1], entry [receiver, sender] (their eq. 10
-        and 11).
-
-        Args:
-          n_graph: B; every graph draws its own.
-          seed: int32 [2], stateless: the same seed gives the same gates.
-        """
+        and 11); every graph draws its own, and the same seed, int32 [2], gives the same gates."""
         uniform = tf.random.stateless_uniform([n_graph, self.n_modes, self.n_modes], seed)
         # The draw includes 0, whose logarithm does not exist; 2^-24 is below all others.
         uniform = tf.maximum(uniform, 2.0**-24)
@@ -95,16 +86,8 @@ class EdgeGates(tf.Module):
         )
 
     def gated(self, layout, n_graph: int, seed):
-        """The graph with a drawn gate on every mode -> mode edge.
-
-        Args:
-          layout: `Layout` whose mode block is fully connected.
-          n_graph: B.
-          seed: int32 [2].
-
-        Returns:
-          a copy whose `edge_gates` is float32 [B, E]; other edges have gates of 1.
-        """
+        """A copy of a `Layout`, whose mode block is fully connected, with a drawn gate on every
+        mode -> mode edge: its `edge_gates` is float32 [B, E]; other edges have gates of 1."""
         drawn = tf.reshape(self.sample(n_graph, seed), [n_graph, self.n_modes**2])
         with_one = tf.concat([drawn, tf.ones([n_graph, 1])], axis=1)
         receiver, sender = (layout.node_class[e] - 1 for e in (layout.receivers, layout.senders))

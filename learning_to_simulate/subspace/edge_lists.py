@@ -85,7 +85,6 @@ class EdgeList:
 
     @property
     def n_edge(self) -> int:
-        """E, self-edges included."""
         return int(self.mask.sum())
 
     def mask_for(self, names) -> np.ndarray:
@@ -101,13 +100,10 @@ class EdgeList:
         return self.mask[np.ix_(order, order)]
 
     def check_data(self, data_path: str) -> None:
-        """Holds the digests against a dataset folder.
+        """Raises ValueError if the list was found on another dataset than that of a folder.
 
         The subspace decides where both have one: modes of the same subspace are the same nodes,
         whichever runs the list was found on.
-
-        Raises:
-          ValueError: if the list was found on another dataset.
         """
         here = data_digests(data_path)
         for name in DATA_FILES:
@@ -182,13 +178,9 @@ def write(path: str, edges: EdgeList) -> None:
 
 
 def read(path: str) -> EdgeList:
-    """Reads and checks `edges.json`.
-
-    Raises:
-      ValueError: missing, git-lfs pointer, another kind or version of file, a field that is
-        missing or out of range, an edge listed twice or outside the nodes, an empty or saturated
-        graph that does not say so.
-    """
+    """Reads and checks `edges.json`; ValueError for a missing or damaged file, another kind or
+    version, a field that is missing or out of range, an edge listed twice or outside the nodes, an
+    empty or saturated graph that does not say so."""
     if not os.path.isfile(path):
         raise ValueError(f'{path}: no such edge file')
     values = files.read_json(path)
@@ -218,11 +210,8 @@ def read(path: str) -> EdgeList:
 
 
 def read_mask(path: str) -> np.ndarray:
-    """Reads a bare adjacency mask: `.npy`, bool [V, V], entry [receiver, sender].
-
-    Raises:
-      ValueError: missing file, git-lfs pointer, foreign content, or a mask that is not square.
-    """
+    """Reads a bare adjacency mask: `.npy`, bool [V, V], entry [receiver, sender]; ValueError for a
+    missing or foreign file, or a mask that is not square."""
     if not os.path.isfile(path):
         raise ValueError(f'{path}: no such edge file')
     mask = files.read_npy(path)
@@ -244,14 +233,13 @@ class ModeEdges(NamedTuple):
 
 
 def choose(config, data_path: str, n_modes: int, velocities) -> ModeEdges:
-    """The edges that a `TrainConfig` asks for on a dataset.
+    """The edges that a `TrainConfig` asks for on a dataset with r modes.
 
     Args:
       config: its adjacency is 'fully_connected' or 'none'; 'algorithm2' (all mode edges where gates
         are learned, else `edges.json` of the dataset, else ranked by correlation); 'correlation';
         'random'; or a file, `.json` or `.npy`.
       data_path: dataset folder.
-      n_modes: r.
       velocities: of the modes on the training runs, as for `rank_mode_edges`.
 
     Raises:

@@ -24,8 +24,6 @@ NODES, RIGID, SCENE = 'nodes', 'rigid', 'scene'
 
 
 class Feature(NamedTuple):
-    """One input."""
-
     name: str  # of its rows in the first layer
     at: str  # `NODES`, `RIGID` or `SCENE`
     is_present: Callable  # called with the simulator
@@ -34,15 +32,8 @@ class Feature(NamedTuple):
 
 
 class View:
-    """What features are made of: the state, and what is given, of B graphs.
-
-    Args:
-      simulator: its config, scene and statistics say how.
-      state: `SimulatorState`.
-      known: `KnownMotion` of the coming frame, or None.
-      context: float32 [B, C] or None.
-      layout: of the graphs.
-    """
+    """What features are made of: the state (`SimulatorState`), the `KnownMotion` of the coming
+    frame and the context float32 [B, C] (or None) of B graphs of a layout."""
 
     def __init__(self, simulator, state, known, context, layout):
         self.simulator, self.state, self.known = simulator, state, known
@@ -145,7 +136,7 @@ TABLE = (
 
 @plain
 def of(simulator) -> tuple[Feature, ...]:
-    """The features that a model has, in the order of the rows of its first layer."""
+    """The features of a model, in the order of the rows of its first layer."""
     return tuple(feature for feature in TABLE if feature.is_present(simulator))
 
 

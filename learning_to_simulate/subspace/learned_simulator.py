@@ -32,19 +32,8 @@ class SimulatorState(NamedTuple):
 
 
 class Layout:
-    """Constants of the graph for one number of rigid particles: edges and statistics per node and
-    edge.
-
-    Args:
-      adjacency: edges of V = R + r nodes.
-      n_rigid: R.
-      scene: the scene.
-      statistics: by node class.
-      config: decides how losses are weighted.
-
-    Raises:
-      ValueError: the bodies of the scene have another number of nodes.
-    """
+    """Constants of the graph for R rigid particles: edges of V = R + r nodes, and statistics per
+    node and edge. ValueError if the bodies of the scene have another number of nodes."""
 
     def __init__(
         self,
@@ -106,15 +95,8 @@ class Layout:
 
 
 class LearnedSimulator(snt.Module):
-    """One frame of the simulation of B graphs.
-
-    Args:
-      scene: what exists.
-      config: what the model is.
-      statistics: of the training runs.
-      particle_types: (type of the rigid particles, type of the modes), for the published type
-        embedding.
-    """
+    """One frame of the simulation of B graphs; `particle_types` are those of the rigid particles
+    and of the modes, for the published type embedding."""
 
     def __init__(
         self, scene: Scene, config: TrainConfig, statistics, particle_types=(0, 6), name=None
@@ -150,7 +132,6 @@ class LearnedSimulator(snt.Module):
 
     @property
     def network(self) -> graph_network.EncodeProcessDecode:
-        """The graph network."""
         return self._network
 
     @property
@@ -164,17 +145,7 @@ class LearnedSimulator(snt.Module):
         return self.config.rate_scaled and self.scene.rigid_motion.is_known
 
     def features(self, state: SimulatorState, known, context, layout: Layout):
-        """Network inputs.
-
-        Args:
-          state: of B graphs.
-          known: `KnownMotion` of the coming frame, or None.
-          context: float32 [B, C] or None.
-          layout: of the graphs.
-
-        Returns:
-          nodes [B, V, F], edges [B, E, D + 1].
-        """
+        """Network inputs, nodes [B, V, F] and edges [B, E, D + 1]; arguments as of `step`."""
         view = features.View(self, state, known, context, layout)
         nodes = [features.at_every_node(feature, view) for feature in features.of(self)]
         ends = tf.gather(state.offset, layout.senders, axis=1) - tf.gather(
@@ -205,7 +176,7 @@ class LearnedSimulator(snt.Module):
         return tf.concat([linear, (tf.math.log(tf.maximum(context, 1e-6)) - mean) / std], axis=-1)
 
     def predict(self, state: SimulatorState, known, context, layout: Layout):
-        """Normalised predictions.
+        """Normalised predictions; arguments as of `step`.
 
         Returns:
           target [B, V, D] (displacement or acceleration over its statistics), and the force over
@@ -223,10 +194,8 @@ class LearnedSimulator(snt.Module):
         return decoded[..., : self.dim], force
 
     def rate(self, known):
-        """Displacement of the body in the coming frame over its mean in training, [B, 1, 1].
-
-        1 where motion is not counted per displacement of the body.
-        """
+        """Displacement of the body in the coming frame over its mean in training, [B, 1, 1]; 1
+        where motion is not counted per displacement of the body."""
         if not self.rate_scaled:
             return tf.ones([1, 1, 1])
         # q = sqrt(mean over the R particles of |v|^2) / its mean in training, at least RATE_FLOOR.
@@ -300,7 +269,6 @@ class LearnedSimulator(snt.Module):
         return tf.concat([tf.tile(body, [1, n, 1]), velocity[:, n:]], axis=1)
 
     def _place_body(self, state, velocity, offset, known, layout):
-        """Overwrites the given part of the rigid motion."""
         n, body_offset, body_velocity = layout.n_rigid, known.offset, known.velocity
         if self.scene.rigid_motion == RigidMotion.DRIVEN:
             up = up_vector(self.dim, self.scene.up_axis)
@@ -316,12 +284,8 @@ class LearnedSimulator(snt.Module):
 
 
 def initial_state(offset, velocity) -> SimulatorState:
-    """State after H frames.
-
-    Args:
-      offset: [B, H, V, D] of the first H frames.
-      velocity: [B, H - 1, V, D] of the frames 1 .. H - 1.
-    """
+    """State after H frames, of offsets [B, H, V, D] and velocities [B, H - 1, V, D] of the frames
+    1 .. H - 1."""
     if offset.shape[1] != INPUT_SEQUENCE_LENGTH or velocity.shape[1] != INPUT_SEQUENCE_LENGTH - 1:
         raise ValueError(
             f'a history has {INPUT_SEQUENCE_LENGTH} frames, got {offset.shape} and {velocity.shape}'

@@ -26,8 +26,6 @@ def make_model(data_path, metadata, groups, config, rigid_motion=None) -> Model:
     """A fresh model for the training runs of a dataset, its variables created.
 
     Args:
-      data_path: dataset folder.
-      metadata: its metadata.
       groups: `RunGroup`s of the training split.
       config: `TrainConfig`.
       rigid_motion: override of the scene's, or None.
@@ -138,12 +136,8 @@ def _close_gates(training, data_path, model_path):
 
 
 def open_model(model_path, data_path, split, overrides=None, raw_path=None) -> OpenedModel:
-    """A trained model with the runs of a split; see `registry`.
+    """A trained model with the runs of a split; see `registry`."""
 
-    Raises:
-      FileNotFoundError: no model, dataset or split there.
-      ValueError: an override contradicts the model, or the dataset does not fit it.
-    """
     def one_step_errors():
         from learning_to_simulate.subspace.trainer import Trainer
 

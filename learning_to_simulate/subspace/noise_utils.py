@@ -4,18 +4,12 @@ import tensorflow as tf
 
 
 def random_walk_velocity_noise(shape, last_step_std, seed):
-    """Noise for the velocity history of a window, a random walk over the input frames.
+    """Noise float32 [B, V, H - 1, D] for the velocity history of a window, a random walk over the
+    frames.
 
-    The walk's last step has the given standard deviation; the noise of the positions is the running
-    sum of the noise of the velocities (`position_noise`), so the history stays consistent.
-
-    Args:
-      shape: [B, V, H - 1, D] of the velocity history.
-      last_step_std: [V, D] (or broadcastable to [B, V, D]), m/frame; 0 leaves a node as it is.
-      seed: int32 [2], stateless: the same seed gives the same noise.
-
-    Returns:
-      float32 noise of `shape`.
+    The walk's last step has a standard deviation [V, D] (m/frame; 0 leaves a node as it is); the
+    noise of the positions is the running sum of that of the velocities (`position_noise`), so the
+    history stays consistent. The same seed, int32 [2], gives the same noise.
     """
     # The noise of frame k is the sum of k steps, of std sigma sqrt(k / n): sigma in the last one.
     n_velocities = shape[2]

@@ -54,7 +54,6 @@ class PathMemory:
     """Reads the paths of a scene.
 
     Attributes:
-      axes: of the scene.
       surface: height of the resting bed, m.
       reach: smallest and largest place (m along the way) of the tool in the training runs.
       dt: s per frame.
@@ -69,13 +68,8 @@ class PathMemory:
 
     @classmethod
     def of_runs(cls, bodies, scene, surface=None) -> 'PathMemory':
-        """The reader for training runs.
-
-        Args:
-          bodies: list of [S, T, R, D] rigid particles, m.
-          scene: with a prescribed body.
-          surface: m; None takes where the tools begin.
-        """
+        """The reader for training runs, list of bodies [S, T, R, D], m, that are prescribed; the
+        surface is by default where the tools begin."""
         axes = Axes.of_bodies(bodies, scene.up_axis)
         tips = [blade_pose(body, axes)[0] for body in bodies]
         if surface is None:
@@ -91,7 +85,6 @@ class PathMemory:
         return cls(axes, surface, (reach[0], reach[1]), scene.dt)
 
     def to_statistics(self) -> np.ndarray:
-        """float64 [5], see `of_statistics`."""
         return np.array([self.axes.axis, self.axes.sign, self.surface, *self.reach], float)
 
     def start(self, body) -> Memory:
@@ -104,11 +97,8 @@ class PathMemory:
         )  # fmt: skip
 
     def advance(self, memory: Memory, body) -> Memory:
-        """The memory one frame later.
-
-        Raises:
-          ValueError: a body that leaves the bins, or that is not finite.
-        """
+        """The memory one frame later; ValueError for a body that leaves the bins, or is not
+        finite."""
         pose, before = self._pose(body), memory.swept
         after = swept.advance(self.grid, before, pose[:, :2], self.dt)
         turn = (pose[:, 2] - memory.lean) / self.dt

@@ -30,16 +30,9 @@ class KnownMotion(NamedTuple):
 
 
 def known_motion(offset, velocity, scene: Scene) -> KnownMotion | None:
-    """The given part of true rigid motion: all of it, or all but the mean height of a driven body.
-
-    Args:
-      offset, velocity: [..., R, D] of the rigid particles, true offset from the origin and
-        displacement of the frame; numpy or TensorFlow.
-      scene: decides what is given.
-
-    Returns:
-      `KnownMotion`, or None where nothing is given.
-    """
+    """The given part of true rigid motion: all of it, or all but the mean height of a driven body;
+    None where nothing is given. Of [..., R, D] offsets from the origin and displacements of the
+    frame, numpy or TensorFlow."""
     if not scene.rigid_motion.is_known:
         return None
     if scene.rigid_motion == RigidMotion.DRIVEN:
@@ -50,19 +43,13 @@ def known_motion(offset, velocity, scene: Scene) -> KnownMotion | None:
 
 
 def rigid_correction(shape, position):
-    """Nearest rigid placement of a body to predicted particles (Usmani & Skonieczny 2023, Algorithm
-    3).
+    """Nearest rigid placement float64 [B, R, D] of a body to predicted particles (Usmani &
+    Skonieczny 2023, Algorithm 3), both float64 [B, R, D]; `shape` is relative to its centroid in a
+    reference frame.
 
     Horn's quaternion form (J. Opt. Soc. Am. A 4, 1987) instead of an SVD: its result is a proper
     rotation for coplanar bodies too, and XLA compiles it. The thesis places the particles of the
     frame before; placing the body's first shape is the same map without the drift of the shape.
-
-    Args:
-      shape: float64 [B, R, D], particles relative to their centroid in a reference frame.
-      position: float64 [B, R, D], predicted particles.
-
-    Returns:
-      float64 [B, R, D], the rotated and translated shape.
     """
     # S = sum over particles of a b^T: a of the shape, b of the predicted ones about their mean.
     centroid = tf.reduce_mean(position, axis=1, keepdims=True)

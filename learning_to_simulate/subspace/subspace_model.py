@@ -29,7 +29,6 @@ class Model:
     """A simulator with what is needed to run it on graphs of any number of rigid particles.
 
     Attributes:
-      simulator: the network with its scene, config and statistics.
       mode_mask: bool [r, r] of the mode -> mode edges, completed by Algorithm 2; else None.
       loaded_mask: bool [V, V] from an edge file, used as it is; else None.
       edge_source: where the edges come from; None if the model folder does not say.
@@ -44,11 +43,8 @@ class Model:
         self._layouts = {}
 
     def layout(self, n_rigid: int) -> Layout:
-        """The graph for R rigid particles, built once.
-
-        Raises:
-          ValueError: if the model's edges do not fit graphs of that size.
-        """
+        """The graph for R rigid particles, built once; ValueError if the model's edges do not fit
+        it."""
         if n_rigid not in self._layouts:
             s = self.simulator
             s.check_size(n_rigid)
@@ -71,11 +67,8 @@ class Model:
             self.layout(n_rigid)
 
     def fitting_subspace(self, subspace: Subspace) -> Subspace:
-        """The modes of a dataset's subspace that the model predicts: all, or the first ones.
-
-        Raises:
-          ValueError: the subspace has other modes or particles than the model's.
-        """
+        """The modes of a dataset's subspace that the model predicts: all, or the first ones;
+        ValueError if it has other modes or particles than the model's."""
         scene, first = self.simulator.scene, self.simulator.config.modes
         if first and subspace.n_modes > first:
             subspace = dataclasses.replace(subspace, components=subspace.components[:, :first])
@@ -137,12 +130,9 @@ def read_parts(path: str) -> Parts:
 
 
 def load(path: str) -> Model:
-    """Loads a model for evaluation from config.json and weights.npz.
-
-    Raises:
-      FileNotFoundError, ValueError: no model there, or weights that are not those of the config;
-        no variable is made that the weights do not hold.
-    """
+    """Loads a model for evaluation; FileNotFoundError, ValueError: no model there, a field of
+    config.json that is missing, unknown, of another type or fits no model, or weights of another.
+    No variable is made that the weights do not hold."""
     parts = read_parts(path)
 
     def make():

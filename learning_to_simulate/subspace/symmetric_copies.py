@@ -52,7 +52,7 @@ def shift_of(space: Subspace, axis: int, across: int, distance, is_mirrored) -> 
 
 
 def with_copies(groups, space: Subspace, up: int, copies: int, seed: int) -> list:
-    """The groups, each followed by copies of its runs.
+    """The groups, each followed by copies of its runs; `record` says which run a copy is of.
 
     Args:
       groups: list of `RunGroup` of a body with a known motion.
@@ -60,9 +60,6 @@ def with_copies(groups, space: Subspace, up: int, copies: int, seed: int) -> lis
       up: axis against gravity.
       copies: of each run, as far as there is room for them.
       seed: of the shifts.
-
-    Returns:
-      list of `RunGroup` of the same shapes but for S; `record` says which run a copy is of.
     """
     rng = np.random.Generator(np.random.Philox(key=seed, counter=[0, 0, _STREAM, 0]))
     frame = Axes.of_bodies([groups[0].position[:, :, : groups[0].n_rigid]], up)

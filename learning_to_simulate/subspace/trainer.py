@@ -30,15 +30,9 @@ FORCE_FLOOR = 0.02
 
 
 class Trainer(GradientTraining):
-    """Holds the data, the optimiser and one compiled step per group and stage.
-
-    Args:
-      model: `subspace_model.Model` whose variables exist.
-      groups: list of `RunGroup`.
-
-    Raises:
-      ValueError: if a run is shorter than the training windows.
-    """
+    """Holds the data, the optimiser and one compiled step per group and stage, of a
+    `subspace_model.Model` whose variables exist; ValueError if a run is shorter than the training
+    windows."""
 
     def __init__(self, model, groups):
         config = model.simulator.config
@@ -59,13 +53,12 @@ class Trainer(GradientTraining):
         self._steps = {}
 
     def fix_edges(self, mode_mask) -> None:
-        """Goes on with the edges of a bool [receiver, sender] mask [r, r]; the others leave."""
+        """Goes on with the edges of a bool [receiver, sender] mask [r, r]."""
         self._model.fix_mode_edges(mode_mask)
         self._tensors = [t.with_layout(self._model.layout(t.layout.n_rigid)) for t in self._tensors]
         self._steps = {}
 
     def step(self, step: int) -> dict[str, tf.Tensor]:
-        """Runs training step `step` (counted from 0) and returns its scalar losses."""
         group = self._group_of(step)
         is_gated = self.gates is not None and step < self.config.gate_steps
         key = group, step >= self.config.single_steps, is_gated
@@ -81,8 +74,7 @@ class Trainer(GradientTraining):
         return tf.stack([self.config.seed * 8 + stream, step])
 
     def batch_of(self, step: int) -> list[tuple[int, int]]:
-        """The batch of training step `step`: (record of the training split, first frame) of each
-        window."""
+        """(record of the training split, first frame) of each window of training step `step`."""
         config, tensors = self.config, self._tensors[self._group_of(step)]
         size, length = config.batch_size, 1
         if step >= config.single_steps:
@@ -256,7 +248,6 @@ class GroupTensors:
             self.start = tf.constant(offset[:, H - 1, group.n_rigid :], tf.float32)
 
     def with_layout(self, layout):
-        """The same runs on another graph of the same nodes."""
         other = copy.copy(self)
         other.layout = layout
         return other
@@ -272,7 +263,6 @@ class GroupTensors:
         return pick // n_start, pick % n_start
 
     def windows(self, batch_size, length, seed) -> Windows:
-        """Gathers the windows that `picks` names."""
         run, start = self.picks(batch_size, length, seed)
         frames = (run * self.n_frame + start)[:, None] + tf.range(length)
 

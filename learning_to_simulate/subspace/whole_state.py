@@ -38,11 +38,7 @@ class WholeStateSimulator(LearnedSimulator):
         """Waits for `check_size`: the size of the network depends on R."""
 
     def check_size(self, n_rigid: int):
-        """Fixes the network's size at the first call.
-
-        Raises:
-          ValueError: a body of another number of rigid particles later on.
-        """
+        """Fixes the network's size at the first call; ValueError for another R later on."""
         if self._network is None:
             self._n_rigid = n_rigid
             rows = self._rigid_rows() + self.scene.n_modes
@@ -106,7 +102,7 @@ class StateMLP(snt.Module):
         self._output = snt.Linear(output_size, name='output')
 
     def __call__(self, history, state):
-        """Maps velocities [B, T, V D] and the rest of the state [B, F] to [B, output_size]."""
+        """As of `WholeStateSimulator`."""
         flat = tf.reshape(history, [history.shape[0], -1])
         hidden = self._hidden(tf.concat([flat, state], axis=-1))
         return self._output(self._norm(hidden))
@@ -127,7 +123,6 @@ class Excitation(snt.Module):
         self._frame = snt.Linear(1, name='frame') if of_frames else None
 
     def __call__(self, x):
-        """Returns the gated sequence [B, T, C]."""
         # g_c = sigmoid(W2 relu(W1 mean_t x)); x_tc g_c, and with frames + x_tc sigmoid(w . x_t).
         squeezed = tf.nn.relu(self._squeeze(tf.reduce_mean(x, axis=1, keepdims=True)))
         gated = x * tf.sigmoid(self._excite(squeezed))
@@ -183,7 +178,7 @@ class MotionMixer(snt.Module):
         self._output = snt.Linear(output_size, name='output')
 
     def __call__(self, history, state):
-        """Maps velocities [B, T, V D] and the rest of the state [B, F] to [B, output_size]."""
+        """As of `WholeStateSimulator`."""
         frames = [self._embed_history(history), self._embed_state(state)[:, None]]
         x = tf.concat(frames, axis=1)
         for block in self._blocks:

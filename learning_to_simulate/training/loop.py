@@ -75,12 +75,8 @@ def run(training: Training, model_path: str, options: TrainOptions) -> dict:
 
 
 def open_model_path(path: str, training: Training) -> None:
-    """Claims a model folder: writes config.json into a new one, compares with the config of an old
-    one.
-
-    Raises:
-      ValueError: a folder of something else; nothing was written.
-    """
+    """Claims a model folder: writes config.json into a new one, compares with that of an old one;
+    ValueError for a folder of something else: nothing was written."""
     model = training.model
     fresh = {
         'config': dataclasses.asdict(model.simulator.config),
@@ -110,7 +106,6 @@ def open_model_path(path: str, training: Training) -> None:
 
 
 def _train_steps(training, model_path, state, start, save_every, stop) -> dict:
-    """Steps from `start` to the end, with logs, validation rollouts and checkpoints."""
     trainer, close_gates = training.trainer, training.close_gates
     summary = {}
     total = trainer.config.num_steps
@@ -171,7 +166,6 @@ def _train_steps(training, model_path, state, start, save_every, stop) -> dict:
 
 
 def _refuse_non_finite(losses, end, trainer, model_path):
-    """Raises if one of the losses of the steps before step `end` is NaN or infinite."""
     finite = np.isfinite([float(loss) for loss in losses])
     if finite.all():
         return
@@ -215,8 +209,7 @@ class StopSignals:
 
     @property
     def exit_code(self) -> int:
-        """What a shell expects of a program that a signal ended: 130 for Ctrl-C, 143 for
-        SIGTERM."""
+        """What a shell expects: 130 for Ctrl-C, 143 for SIGTERM."""
         return 128 + self.number
 
     def __enter__(self) -> 'StopSignals':

@@ -41,12 +41,8 @@ class TwoStageSchedule(tf.keras.optimizers.schedules.LearningRateSchedule):
 
 
 class WeightAverages:
-    """Moving averages of the weights, which are what is evaluated and saved.
-
-    Args:
-      variables: the trained ones.
-      decay: of the averages; 0 for none.
-    """
+    """Moving averages of the trained variables, which are what is evaluated and saved; a decay of 0
+    is for none."""
 
     def __init__(self, variables, decay: float):
         self._trained, self._decay = variables, decay
@@ -76,14 +72,11 @@ class WeightAverages:
 
 
 class GradientTraining:
-    """What the trainers of all networks share.
+    """What the trainers of all networks share; `gates` are `EdgeGates` while the edges are learned.
 
     Args:
       simulator: whose variables exist, with its config.
       clip_norm: largest norm of the gradient of all weights, or None.
-
-    Attributes:
-      gates: `EdgeGates` while the edges are learned; None for none.
     """
 
     gates = None

@@ -29,11 +29,8 @@ def stored_steps(path: str) -> list[int]:
 
 
 def check(path: str, step: int) -> None:
-    """Holds the files of the checkpoint of a step against its digests.
-
-    Raises:
-      ValueError: a file is missing or is not the one that was written.
-    """
+    """Raises ValueError if a file of the checkpoint of a step is missing or is not the one that was
+    written."""
     entries = files.check_manifest(path, manifest_name=f'ckpt-{step}.json')
     if entries is None:
         raise ValueError(f'{path}/ckpt-{step}.json: is missing, the checkpoint was not finished')
@@ -135,10 +132,7 @@ class TrainingState:
         return sorted(mine, key=lambda name: not name.endswith('.json'))
 
     def save(self, step: int) -> None:
-        """Writes a checkpoint and deletes all but the newest `KEPT` ones.
-
-        Args:
-          step: number of steps done.
+        """Writes a checkpoint of `step` steps and deletes all but the newest `KEPT` ones.
 
         Raises:
           ValueError: a variable is not finite; nothing is written.
