@@ -207,7 +207,7 @@ def judged(case: Case, c: dict, python: dict) -> dict:
     row['by'] = sorted({reason.split()[0] for reason in flagged})
     row['refused'] = c['refused']
     count = len(python['force'])
-    alike = (c['reasons'][:count] == python['reasons']) and (
+    alike = all(map(_says_the_same, c['reasons'][:count], python['reasons'])) and (
         c['refused'] == python['refused'] or count == compared(case) < len(force)
     )
     apart = _size(force[:count] - python['force']) if alike else np.inf
@@ -219,6 +219,15 @@ def judged(case: Case, c: dict, python: dict) -> dict:
         'loses soil': abs(row.get('soil_came', 0.0)) > OFF and not flagged,
     }  # fmt: skip
     return row | {'wrong': [name for name, is_so in wrong.items() if is_so]}
+
+
+def _says_the_same(one, other):
+    """Whether reasons have the same words, and numbers that differ by a last digit at most."""
+    pairs = list(zip(one.split(), other.split(), strict=False))
+    return len(one.split()) == len(other.split()) and all(
+        a == b or (a[-1:].isdigit() and b[-1:].isdigit() and np.isclose(float(a), float(b), 2e-3))
+        for a, b in pairs
+    )
 
 
 def compared(case: Case) -> int:

@@ -194,7 +194,8 @@ class Passage:
         change = self.terrain.seen.ravel()[self._cells] - self._left
         if not change.any():
             return
-        self._is_stale = True
+        # Heights are as they should be: to write them again would change them for the other, which
+        # would write them again.
         self._before += change
         self._left += change
         t, changed = self.terrain, np.flatnonzero(change)

@@ -61,6 +61,10 @@ def test_what_must_not_be_is_found():
 
     assert wrong(came=-1e-4) == ['loses soil']
     assert wrong(came=-1e-4, reasons=['', 'speed 3'], python=made(reasons=['', 'speed 3'])) == []
+    python = made(reasons=['', 'speed 1.0001 is outside [0, 1] of training'])
+    for text, is_wrong in (('1', False), ('1.1', True), ('-1', True), ('many', True)):
+        text = f'speed {text} is outside [0, 1] of training'
+        assert wrong(python=python, reasons=['', text]) == ['C is not Python'] * is_wrong
     off = good['force'] * 1.01
     assert wrong(python=made(force=off)) == ['C is not Python'] == wrong(refused='frame 2: x')
     assert 'not finite' in wrong(force=np.full((2, 3), np.nan))

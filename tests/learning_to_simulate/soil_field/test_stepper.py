@@ -187,6 +187,20 @@ def test_a_tool_sees_at_once_what_another_digs_close_before_it():
     np.testing.assert_allclose(*forces, rtol=2e-3, atol=0.01)
 
 
+@pytest.mark.parametrize('engine', ['c', 'tensorflow'])
+def test_looking_at_the_terrain_changes_nothing_where_two_tools_reach_each_other(engine):
+    ground, way = Terrain.flat((3.0, 2.0), corner=(-1.5, -1.0)), worlds.path(3)
+    tools = [stepper(ground, engine=engine) for _ in range(2)]
+    for pose in poses(way):
+        for k, tool in enumerate(tools):
+            there = pose + [0.0, 0.0, 0.35 * k, 0.0, 0.0, 0.0, 0.0]
+            tool.start(there) if tool._frame is None else tool.step(there)
+    seen = [ground.heights.copy() for _ in range(3)]
+    assert seen[0].min() < -0.01
+    np.testing.assert_array_equal(seen[1], seen[0])
+    np.testing.assert_array_equal(seen[2], seen[0])
+
+
 def test_soil_rests_no_steeper_than_its_angle_of_repose_where_the_tool_has_gone():
     ground = Terrain.flat((3.0, 2.0), corner=(-2.5, -1.0))
     tool = stepper(ground)

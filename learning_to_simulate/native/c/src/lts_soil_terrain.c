@@ -242,7 +242,6 @@ int lts_soil_meet(lts_soil *soil, lts_passage *p) {
       p->profile[i] += change;
     }
   }
-  p->s.stale = 1;
   soil->seen = NULL;
   return LTS_OK;
 }
