@@ -15,6 +15,24 @@ from learning_to_simulate.scene import RigidMotion
 _ROW_SHARE = 0.25
 
 
+def up_vector(dim: int, up_axis: int) -> np.ndarray:
+    """float32 [D], 1 along the axis against gravity."""
+    return np.eye(dim, dtype=np.float32)[up_axis]
+
+
+def height_of(values, up_axis: int, mean=np.mean, axis: int = -1):
+    """Mean of the up component [...] of values [..., R, D] of the particles of a body; `axis` is
+    that of the particles where others lie between them and the components. `mean` of numpy or
+    TensorFlow."""
+    return mean(values[..., up_axis], axis=axis)
+
+
+def without_height(values, up_axis: int, mean=np.mean):
+    """Values [..., R, D] of the particles of a body less the mean of their up component, which is
+    the body's height or its change."""
+    return values - up_vector(values.shape[-1], up_axis) * mean(values, axis=-2, keepdims=True)
+
+
 @dataclasses.dataclass(frozen=True)
 class Axes:
     """Axes of a scene.

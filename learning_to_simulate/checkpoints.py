@@ -4,7 +4,7 @@
   weights.npz    weights for evaluation (moving averages where the config has them): arrays only,
                  no code, no pickle
   start.npz, subspace.npz   what the model needs to run without its dataset (`live.starts`)
-  ckpt-<step>.*  `tf.train.Checkpoint` of weights, optimiser and step, to resume training
+  ckpt-<step>.npz   weights, optimiser and averages, to resume training (`training_state`)
 
 A folder that ships with the project holds no checkpoints. What is here is the same for models of
 all methods.
@@ -16,6 +16,7 @@ import hashlib
 import importlib.metadata
 import os
 from collections.abc import Callable, Iterable, Iterator
+from typing import Any
 
 import numpy as np
 
@@ -76,15 +77,9 @@ def settings_and_scene(values: dict, settings: type) -> tuple:
 
 
 def save_config(path: str, model, n_rigid: int, data: dict, files_beside=None) -> None:
-    """Writes config.json.
-
-    Args:
-      path: model folder.
-      model: with `simulator`, masks of its edges and `edge_counts()`.
-      n_rigid: any R the model runs on; used to rebuild its variables.
-      data: where the training data came from (path, digests), for the record.
-      files_beside: name -> sha256 of what else the model needs (`live.starts`).
-    """
+    """Writes config.json of a model with `simulator`, masks of its edges and `edge_counts()`; any R
+    that it runs on, where the training data came from, and name -> sha256 of what else it needs
+    (`live.starts`)."""
     import tensorflow as tf
 
     s = model.simulator
@@ -107,36 +102,30 @@ def save_config(path: str, model, n_rigid: int, data: dict, files_beside=None) -
     files.write_json(os.path.join(path, CONFIG_FILE), values)
 
 
-def _weights(simulator):
-    named = enumerate(simulator.trainable_variables)
+def weights_of(model) -> dict:
+    """Variables of a model's simulator by names that do not change between processes: their order
+    and role."""
+    named = enumerate(model.simulator.trainable_variables)
     return {f'{i:03d}.{v.name.split(":")[0]}': v for i, v in named}
 
 
-def save_weights(path: str, simulator) -> None:
-    """Writes the weights of a simulator to weights.npz; ValueError if one is not finite: an older
+def save_weights(path: str, variables: dict) -> None:
+    """Writes variables by their names to weights.npz; ValueError if one is not finite: an older
     file stays."""
-    values = {name: variable.numpy() for name, variable in _weights(simulator).items()}
+    values = {name: variable.numpy() for name, variable in variables.items()}
     if bad := [name for name, value in values.items() if not np.isfinite(value).all()]:
         raise ValueError(f'{path}: not saved, weights are not finite: {bad[:3]}')
     files.write_npz(os.path.join(path, WEIGHTS_FILE), **values)
 
 
-def filled(path: str, make: Callable):
-    """The model of `make`, with the weights of weights.npz; no variable is made that the file does
-    not hold. Raises as `stored_weights` and `check_weights`."""
-    stored = stored_weights(path)
-    with known_shapes.only((w.shape for w in stored.values()), os.path.join(path, WEIGHTS_FILE)):
-        model = make()
-    variables = _weights(model.simulator)
-    check_weights(path, stored, {n: tuple(v.shape) for n, v in variables.items()})
-    for name, variable in variables.items():
-        variable.assign(stored[name])
-    return model
+def filled(path: str, make: Callable, named: Callable[[Any], dict] = weights_of):
+    """What `make` makes, its variables, which `named` lists, with the values of weights.npz; none
+    is made that the file does not hold.
 
-
-def stored_weights(path: str) -> dict[str, np.ndarray]:
-    """The arrays of weights.npz; FileNotFoundError where there are none, ValueError where one is
-    not finite."""
+    Raises:
+      FileNotFoundError, ValueError: no weights there, weights that are not finite, or that have
+        other names or shapes than the model's.
+    """
     weights_path = os.path.join(path, WEIGHTS_FILE)
     if not os.path.isfile(weights_path):
         raise FileNotFoundError(
@@ -146,19 +135,18 @@ def stored_weights(path: str) -> dict[str, np.ndarray]:
     for name, value in stored.items():
         if value.dtype.kind != 'f' or not np.isfinite(value).all():
             raise ValueError(f'{weights_path}: {name} is not finite ({value.dtype})')
-    return stored
-
-
-def check_weights(path: str, stored: dict[str, np.ndarray], shapes: dict[str, tuple]):
-    """Raises ValueError if stored arrays have other names or shapes than the model."""
-    found = {n: v.shape for n, v in stored.items()}
-    if shapes != found:
-        differing = sorted(n for n in shapes.keys() | found.keys() if shapes.get(n) != found.get(n))
+    with known_shapes.only((value.shape for value in stored.values()), weights_path):
+        model = make()
+    variables = named(model)
+    found, wanted = ({n: tuple(v.shape) for n, v in x.items()} for x in (stored, variables))
+    if differing := sorted(n for n in found | wanted if found.get(n) != wanted.get(n)):
         raise ValueError(
-            f'{os.path.join(path, WEIGHTS_FILE)}: not the weights of {CONFIG_FILE} beside it; '
-            f'differing: {differing[:4]}'
+            f'{weights_path}: not the weights of {CONFIG_FILE} beside it; differing: '
+            f'{differing[:4]}'
         )
-    return stored
+    for name, variable in variables.items():
+        variable.assign(stored[name])
+    return model
 
 
 def folder_digest(path: str) -> str:

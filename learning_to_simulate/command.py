@@ -64,16 +64,11 @@ def writable_folder(path: str) -> None:
 
 
 def import_tensorflow(num_threads: int | None = None) -> None:
-    """Imports TensorFlow without the lines that it writes while it starts, and sooner than it does.
+    """Imports TensorFlow without the lines that it writes while it starts, and sooner than it does,
+    with a number of CPU threads (None: its own choice); ValueError where it is not installed.
 
     It loads Keras at the end, a sixth of the whole import, which only training needs: it goes
     without where Keras is absent, so it is, meanwhile, and comes when it is first asked for.
-
-    Args:
-      num_threads: its CPU threads; None for its own choice.
-
-    Raises:
-      ValueError: it is not installed.
     """
     os.environ.setdefault('TF_CPP_MIN_LOG_LEVEL', '2')
     if 'tensorflow' not in sys.modules:

@@ -89,7 +89,7 @@ def algorithm2(scene: Scene, n_rigid: int, mode_mask: np.ndarray) -> Adjacency:
     return Adjacency.from_mask(mask)
 
 
-def nearest_neighbour_edges(points, n_neighbours: int = 2) -> tuple[tuple[int, int], ...]:
+def nearest_neighbour_edges(points) -> tuple[tuple[int, int], ...]:
     """Directed edges to every rigid particle from its two nearest others, for folders that state
     none; `points` are [R, D] of one frame, m.
 
@@ -98,7 +98,7 @@ def nearest_neighbour_edges(points, n_neighbours: int = 2) -> tuple[tuple[int, i
     """
     distance = np.linalg.norm(points[:, None] - points[None], axis=-1)
     np.fill_diagonal(distance, np.inf)
-    nearest = np.argsort(distance, axis=1, kind='stable')[:, :n_neighbours]
+    nearest = np.argsort(distance, axis=1, kind='stable')[:, :2]
     return tuple((int(s), r) for r in range(len(points)) for s in nearest[r])
 
 

@@ -26,15 +26,12 @@ def bound(spreads, sizes, weights) -> np.ndarray:
 
 
 def calibrate(runs, kinds=None) -> list[float]:
-    """The weights of a bound.
+    """The weights of a bound, of valid runs, each (errors [F], spreads [F], sizes [F]), and their
+    kinds as of `of_runs`.
 
     A non-negative fit of the errors, each run counting alike, scaled by a conformal prediction over
     runs (Vovk et al. 2005, Algorithmic Learning in a Random World), since the frames of one run are
-    alike: the score of a run is the factor that 95 % of its frames need, see `of_runs`.
-
-    Args:
-      runs: of valid, each (errors [F], spreads [F], sizes [F]).
-      kinds: of these runs, see `of_runs`.
+    alike: the score of a run is the factor that 95 % of its frames need.
     """
     from scipy import optimize  # a live step does not load it
 
@@ -59,10 +56,8 @@ def of_runs(scores, kinds=None) -> float:
     a probability of `SURE` (Wilks 1941, Ann. Math. Stat. 12): of k of n, the binomial of n and 0.9
     lies below k. With too few runs for that it is the largest.
 
-    Args:
-      scores: of n runs.
-      kinds: of them: the result is no less than that of any kind of which there are `ENOUGH`, since
-        nobody says in use of which kind a run is. None: all are of one.
+    The result is no less than that of any kind of which there are `ENOUGH` runs, since nobody says
+    in use of which kind a run is; kinds are None where all are of one.
     """
     scores = [float(score) for score in scores]
     kinds = [''] * len(scores) if kinds is None else list(kinds)

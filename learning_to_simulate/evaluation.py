@@ -101,8 +101,8 @@ def summarise(results, model, metadata: dict, split: str) -> dict:
                 errors |= metrics.load_errors(forces[name], group.force[:, H:], axes)
             rows.append({'record': record} | {k: float(v[0]) for k, v in errors.items()})
         methods['model'][-1] |= {
-            **_status_fields(rollout),
-            'edges': len(model.layout(n_rigid).senders),
+            **rollout.judgements[0].fields(),
+            'edges': model.layout(n_rigid).n_edge,
             'milliseconds_per_step': 1e3 * rollout.seconds / n_frame,
             'seconds_per_simulated_second': rollout.seconds / (n_frame * scene.dt),
         }
@@ -142,17 +142,6 @@ def _by_method(predicted, recorded, mean) -> dict:
     }
 
 
-def _status_fields(rollout):
-    """The judgement of a one-run rollout as it stands in metrics.json and in rollout files."""
-    status, frame, node, reason = rollout.judgements[0]
-    return {
-        'status': str(status),
-        'first_bad_frame': frame,
-        'first_bad_node': node,
-        'status_reason': reason,
-    }
-
-
 def _summary(methods, truths, scene):
     mean = {}
     for name, rows in methods.items():
@@ -176,9 +165,12 @@ def _summary(methods, truths, scene):
         'force of the training runs',
         'runs': methods,
     }
-    return json.loads(
-        json.dumps(summary), parse_constant=lambda _: None
-    )  # JSON has no NaN: a failed run shows null
+    return without_nan(summary)
+
+
+def without_nan(summary: dict) -> dict:
+    """A summary with null for what is not a number: JSON has none, and a failed run lacks it."""
+    return json.loads(json.dumps(summary), parse_constant=lambda _: None)
 
 
 def soil_of_run(group, rollout, scene):
@@ -230,29 +222,44 @@ def save_rollouts(
     return [os.path.join(path, name) for name in (*names, METRICS_FILE)]
 
 
+def file_arrays(given, predicted, true, types, judgement, force=None, true_force=None) -> dict:
+    """The arrays of a rollout file, DeepMind's key names.
+
+    Args:
+      given, predicted, true: [H, V, 3], [T', V, 3], and [T', V, 3] or None, m.
+      types: int [V] of the particles.
+      judgement: of the rollout.
+      force, true_force: [T', 3] and [H + T', 3], N, or None.
+    """
+    arrays = {
+        'initial_positions': given,
+        'predicted_rollout': predicted,
+        'ground_truth_rollout': true,
+        'initial_forces': None if true_force is None else true_force[:H],
+        'predicted_forces': force,
+        'ground_truth_forces': None if true_force is None else true_force[H:],
+    }
+    found = {k: np.asarray(v, np.float32) for k, v in arrays.items() if v is not None}
+    more = {'particle_types': types} | judgement.fields()
+    return found | {key: np.array(value) for key, value in more.items()}
+
+
 def _arrays(group, rollout) -> dict:
     """The arrays of one run's file."""
     truth = group.all_particles(group.position, as_recorded=True)[0]
-    arrays = {
-        'initial_positions': truth[:H].astype(np.float32),
-        'predicted_rollout': group.all_particles(rollout.position)[0].astype(np.float32),
-        'ground_truth_rollout': truth[H:].astype(np.float32),
-        'particle_types': group.all_particle_types(),
-    }
-    arrays |= {key: np.array(value) for key, value in _status_fields(rollout).items()}
+    force, known = None, None
+    if rollout.force is not None:
+        force, known = total_force(rollout.force[0]), total_force(group.force[0])
+    arrays = file_arrays(
+        truth[:H], group.all_particles(rollout.position)[0], truth[H:],
+        group.all_particle_types(), rollout.judgements[0], force, known,
+    )  # fmt: skip
     if group.context is not None:
         arrays['global_context'] = group.context.astype(np.float32)
-    if rollout.force is not None:
-        known, predicted = total_force(group.force[0]), total_force(rollout.force[0])
-        arrays |= {
-            'initial_forces': known[:H].astype(np.float32),
-            'predicted_forces': predicted,
-            'ground_truth_forces': known[H:].astype(np.float32),
-        }
-        if predicted.shape != rollout.force[0].shape:  # of each of several bodies
-            each = (len(predicted), -1, predicted.shape[1])
-            arrays['predicted_body_forces'] = rollout.force[0].reshape(each)
-            arrays['ground_truth_body_forces'] = group.force[0, H:].reshape(each).astype(np.float32)
+    if force is not None and force.shape != rollout.force[0].shape:  # of each of several bodies
+        each = (len(force), -1, force.shape[1])
+        arrays['predicted_body_forces'] = rollout.force[0].reshape(each)
+        arrays['ground_truth_body_forces'] = group.force[0, H:].reshape(each).astype(np.float32)
     if group.source is not None:
         arrays |= {'split': np.array(group.source[1]), 'record': group.record[0]}
     # What a method says beyond modes, e.g. the particles of one that has none.
@@ -311,16 +318,13 @@ def table(summary: dict) -> str:
         lines += _medians(summary)
     for row in summary['runs']['model']:
         if row['status'] != RolloutStatus.OK:
+            case = f' ({row["case"]})' if 'case' in row else ''
             where = f'from frame {row["first_bad_frame"]}, node {row["first_bad_node"]}'
             lines.append(
-                f'warning: record {row["record"]}{_case(row)} is {row["status"]} {where}: '
+                f'warning: record {row["record"]}{case} is {row["status"]} {where}: '
                 f'{row["status_reason"]}'
             )
     return '\n'.join(lines)
-
-
-def _case(row):
-    return f' ({row["case"]})' if 'case' in row else ''
 
 
 def _medians(summary):

@@ -12,15 +12,9 @@ from collections.abc import Iterable, Iterator
 
 @contextlib.contextmanager
 def only(shapes: Iterable[tuple[int, ...]], source: str) -> Iterator[None]:
-    """Lets a `with` block make trainable variables of these shapes, each as often as it is there.
-
-    Args:
-      shapes: of all arrays of the file.
-      source: the file, for the message.
-
-    Raises:
-      ValueError: a variable of another shape, or one too many; it is not made.
-    """
+    """Lets a `with` block make trainable variables of the shapes of all arrays of a file
+    (`source`), each as often as it is there; ValueError for another shape, or one too many: it is
+    not made."""
     import tensorflow as tf  # what lists the methods imports this, and waits for none
 
     left = collections.Counter(map(tuple, shapes))

@@ -15,15 +15,17 @@ derivatives of w from proposed frames, kept from step to step by Broyden's updat
 would push a tool on in the direction in which it goes.
 """
 
+import contextlib
 from collections.abc import Mapping
 from typing import Any
 
 import mujoco
 import numpy as np
 
+from learning_to_simulate.live.poses import turned
 from learning_to_simulate.rollout_status import OK, Judgement, RolloutStatus, worse
 from learning_to_simulate.soil_field.engine import SoilFrame, refuse_step
-from learning_to_simulate.soil_field.place import UP, turned
+from learning_to_simulate.soil_field.place import UP
 from learning_to_simulate.soil_field.stepper import DT, SoilStepper
 from learning_to_simulate.soil_field.terrain import Terrain
 
@@ -36,10 +38,11 @@ ARM = np.array([1.0, 1.0, 0.1])
 CLEAR = 0.1
 # m of height that a height field can show over and under the terrain as it was.
 ROOM = 1.0
+FIELD = 'soil'  # name of the height field
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 
 
-def add_height_field(spec: mujoco.MjSpec, terrain: Terrain, name: str = 'soil') -> None:
+def add_height_field(spec: mujoco.MjSpec, terrain: Terrain) -> None:
     """Adds a height field of a terrain to a model, which nothing collides with, for
     `MujocoSoil.draw`."""
     heights = terrain.heights
@@ -49,11 +52,11 @@ def add_height_field(spec: mujoco.MjSpec, terrain: Terrain, name: str = 'soil') 
     x, z = terrain.corner + terrain.cell * heights.shape / 2
     half = terrain.cell * (np.array(heights.shape) - 1) / 2
     spec.add_hfield(
-        name=name, ncol=heights.shape[0], nrow=heights.shape[1], size=[*half, top - base, 0.05],
+        name=FIELD, ncol=heights.shape[0], nrow=heights.shape[1], size=[*half, top - base, 0.05],
         userdata=list(_rows(heights, base, top)),
     )  # fmt: skip
     spec.worldbody.add_geom(
-        name=name, type=mujoco.mjtGeom.mjGEOM_HFIELD, hfieldname=name, pos=[x, -z, base],
+        name=FIELD, type=mujoco.mjtGeom.mjGEOM_HFIELD, hfieldname=FIELD, pos=[x, -z, base],
         contype=0, conaffinity=0, rgba=[0.62, 0.47, 0.32, 1.0],
     )  # fmt: skip
 
@@ -155,7 +158,7 @@ class MujocoSoil:
         self._slopes = [None] * len(self._names)
         found = {}
         for name, stepper, spot in zip(self._names, self._steppers, self._spots, strict=True):
-            with _Naming(name):
+            with _naming(name):
                 found[name] = stepper.start(self._pose(spot))
         self.frames = found
         self._loads = np.stack([_load(frame) for frame in found.values()])
@@ -221,7 +224,7 @@ class MujocoSoil:
 
     def _flies(self, name, stepper, pose, dt):
         """Whether a pose is too far for a step, in the air; ValueError where it is in soil."""
-        with _Naming(name):
+        with _naming(name):
             try:
                 refuse_step(pose, stepper.frame.pose, dt, stepper.tool, stepper.terrain)
             except ValueError:
@@ -337,7 +340,7 @@ class MujocoSoil:
     def _proposed(self, j, pose):
         """Load [6] of a tool that would go to a pose."""
         stepper = self._steppers[j]
-        with _Naming(self._names[j]):
+        with _naming(self._names[j]):
             try:
                 return _load(stepper.propose(pose, DT))
             except ValueError:
@@ -353,26 +356,19 @@ class MujocoSoil:
             columns.append((there - load) / step.max())
         return np.stack(columns, axis=1)
 
-    def draw(self, view=None, name: str = 'soil') -> None:
-        """Writes the terrain into the height field of a name (see `add_height_field`).
-
-        Args:
-          view: a `mujoco.Renderer` or the handle of a passive viewer that shows it; or None.
-          name: of the height field.
-        """
-        m, number = self._model, mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_HFIELD, name)
+    def draw(self, view=None) -> None:
+        """Writes the terrain into its height field (see `add_height_field`), which a `view` shows:
+        a `mujoco.Renderer` or the handle of a passive viewer; or None."""
+        m, number = self._model, mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_HFIELD, FIELD)
         if number < 0 or m.hfield_ncol[number] * m.hfield_nrow[number] != np.prod(
             self.terrain.shape
         ):
             raise ValueError(
-                f'the model has no height field {name!r} of {self.terrain.shape} cells: call '
+                f'the model has no height field {FIELD!r} of {self.terrain.shape} cells: call '
                 f'add_height_field(spec, terrain) before spec.compile()'
             )
-        base = float(m.geom(name).pos[2])
-        start, rows = (
-            m.hfield_adr[number],
-            _rows(self.terrain.heights, base, base + m.hfield_size[number][2]),
-        )
+        base, start = float(m.geom(FIELD).pos[2]), m.hfield_adr[number]
+        rows = _rows(self.terrain.heights, base, base + m.hfield_size[number][2])
         m.hfield_data[start : start + len(rows)] = rows
         if hasattr(view, 'update_hfield'):
             view.update_hfield(number)
@@ -380,18 +376,13 @@ class MujocoSoil:
             mujoco.mjr_uploadHField(m, view._mjr_context, number)
 
 
-class _Naming:
+@contextlib.contextmanager
+def _naming(tool):
     """Puts the name of a tool before what is wrong with it."""
-
-    def __init__(self, name):
-        self._name = name
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, kind, error, trace):
-        if isinstance(error, ValueError):
-            raise ValueError(f'{self._name}: {error}') from error
+    try:
+        yield
+    except ValueError as error:
+        raise ValueError(f'{tool}: {error}') from error
 
 
 def _load(frame):

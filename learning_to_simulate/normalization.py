@@ -12,7 +12,7 @@ from typing import Self
 
 import numpy as np
 
-from learning_to_simulate.body_height import height_of, without_height
+from learning_to_simulate.axes import height_of, without_height
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH, TrainConfig
 from learning_to_simulate.scene import RigidMotion, Scene, require
 
@@ -149,13 +149,8 @@ class Statistics(Arrays):
 
 
 def compute_statistics(groups, metadata, scene: Scene, config: TrainConfig) -> Statistics:
-    """Statistics of the training runs in float64.
-
-    Args:
-      groups: list of `RunGroup`; the last r nodes are modes.
-      metadata: validated; the published presets take their statistics from it.
-      scene: of the runs.
-      config: decides the family.
+    """Statistics of the training runs (list of `RunGroup`, whose last r nodes are modes) in
+    float64; the config decides the family, and the published one comes from the validated metadata.
 
     Raises:
       ValueError: runs shorter than three frames, or a rate that is scaled with a body at rest.

@@ -139,18 +139,14 @@ def read_groups(
         bodies = np.split(np.arange(run.n_rigid), ends)
         if rigid_particles and is_given:
             height = run.position[0, :, up]
-            bodies = [_lowest(body, height, rigid_particles) for body in bodies]
+            lowest = (body[np.argsort(height[body], kind='stable')] for body in bodies)
+            bodies = [np.sort(body[:rigid_particles]) for body in lowest]
         kept = np.concatenate(bodies)
         runs.setdefault((len(kept), run.n_frames), []).append((index, run, kept))
     return [
         dataclasses.replace(_stack(n_rigid, members, modes), source=(folder, split))
         for (n_rigid, _), members in sorted(runs.items())
     ]
-
-
-def _lowest(body, height, count):
-    """The `count` nodes of a body, indices, that are lowest, in their order."""
-    return body[np.sort(np.argsort(height[body], kind='stable')[:count])]
 
 
 def _stack(n_rigid, members, modes):

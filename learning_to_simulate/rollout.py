@@ -15,7 +15,12 @@ from learning_to_simulate.subspace.learned_simulator import (
     SimulatorState,
     initial_state,
 )
-from learning_to_simulate.subspace.rigid_body import Correction, KnownMotion, known_motion
+from learning_to_simulate.subspace.rigid_body import (
+    KnownMotion,
+    corrected,
+    known_motion,
+    shape_of,
+)
 
 
 class Rollout(NamedTuple):
@@ -38,14 +43,14 @@ class Rollout(NamedTuple):
         return [judgement.status for judgement in self.judgements]
 
 
-def corrected_step(simulator, layout: Layout, state: SimulatorState, known, context, correction):
-    """One frame of `LearnedSimulator.step`, a predicted body kept rigid by a
-    `rigid_body.Correction` (None for none): the next `SimulatorState`, and force [B, F] or None."""
+def corrected_step(simulator, layout: Layout, state: SimulatorState, known, context, shape):
+    """One frame of `LearnedSimulator.step`, a predicted body kept in a shape of `shape_of` (None
+    for none): the next `SimulatorState`, and force [B, F] or None."""
     after, force = simulator.step(state, known, context, layout)
-    if correction is None:
+    if shape is None:
         return after, force
     n = layout.n_rigid
-    placed, velocity = correction(state.offset[:, :n], after.offset[:, :n])
+    placed, velocity = corrected(shape, layout.origin[:n], state.offset[:, :n], after.offset[:, :n])
     newest = tf.concat([velocity, after.velocity[:, n:, -1]], axis=1)
     return SimulatorState(
         tf.concat([placed, after.offset[:, n:]], axis=1),
@@ -57,9 +62,8 @@ class RolloutFunction:
     """A compiled rollout of B graphs of a layout over a fixed number of frames; variables are read
     anew in every call."""
 
-    def __init__(self, simulator: LearnedSimulator, layout: Layout, rigid_correction: bool = True):
+    def __init__(self, simulator: LearnedSimulator, layout: Layout):
         self.simulator, self.layout = simulator, layout
-        self._correct = rigid_correction and simulator.scene.rigid_motion == RigidMotion.PREDICTED
         self.is_warm = False
         self._run = tf.function(self._loop, jit_compile=True, autograph=False)
 
@@ -78,16 +82,15 @@ class RolloutFunction:
 
     def _loop(self, state, known, context, n_frame):
         layout, simulator = self.layout, self.simulator
-        correction = None
-        if self._correct:
-            n = layout.n_rigid
-            correction = Correction(state.offset[:, :n], layout.origin[:n])
+        n, shape = layout.n_rigid, None
+        if simulator.scene.rigid_motion == RigidMotion.PREDICTED:
+            shape = shape_of(state.offset[:, :n], layout.origin[:n])
 
         def body(k, state, arrays):
             coming = None if known is None else known.at(k)
             changes = context is not None and context.shape.rank == 3
             now = context[k] if changes else context
-            state, force = corrected_step(simulator, layout, state, coming, now, correction)
+            state, force = corrected_step(simulator, layout, state, coming, now, shape)
             written = [state.offset] + ([] if force is None else [force])
             return k + 1, state, [a.write(k, x) for a, x in zip(arrays, written, strict=True)]
 

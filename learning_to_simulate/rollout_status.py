@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from learning_to_simulate import normalization
-from learning_to_simulate.body_height import without_height
+from learning_to_simulate.axes import without_height
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH
 from learning_to_simulate.scene import RigidMotion
 
@@ -63,8 +63,32 @@ class Judgement(NamedTuple):
     node: int = -1
     reason: str = ''
 
+    def fields(self) -> dict:
+        """As it stands in metrics.json and in rollout files."""
+        names = 'status', 'first_bad_frame', 'first_bad_node', 'status_reason'
+        return dict(zip(names, (str(self.status), *self[1:])))
+
 
 OK = Judgement(RolloutStatus.OK)
+
+
+class Judged:
+    """A rollout of a name with a judgement: how far it can be trusted, and in words why not."""
+
+    judgement: Judgement
+    name: str
+
+    def __repr__(self) -> str:
+        reason = f' ({self.reason})' if self.reason else ''
+        return f'<rollout {self.name!r}: {len(self)} frames, {self.status}{reason}>'
+
+    @property
+    def status(self) -> RolloutStatus:
+        return self.judgement.status
+
+    @property
+    def reason(self) -> str:
+        return self.judgement.reason
 
 
 def worse(one: Judgement, other: Judgement) -> Judgement:
@@ -166,14 +190,9 @@ class NodeRanges:
             ]  # fmt: skip
 
     def start(self, position, context=None, before=None, frame: int = 0) -> Judgement:
-        """The judgement of a frame that is given as a whole.
-
-        Args:
-          position: float64 [V, D], m.
-          context: [C] or None.
-          before: [R, D], m, the body in the frame before; None where there is none or it rests.
-          frame: its number.
-        """
+        """The judgement of a frame of a number that is given as a whole: position float64 [V, D],
+        m, context [C] or None, and the body in the frame before [R, D], m (None where there is none
+        or it rests)."""
         body = position[: self._n]
         return (
             self._unlike_context(frame, context)
@@ -259,14 +278,9 @@ def _first_outside(status, values, limits, frame, first_node=0, name='coordinate
 
 
 def judge(group, position, force, statistics, scene) -> list[Judgement]:
-    """The status of each rolled-out run of a group.
-
-    Args:
-      group: `RunGroup` of S runs, whose first H frames, body and context were the inputs.
-      position: float64 [S, T - H, V, D], the predicted frames.
-      force: [S, T - H, F], or None.
-      statistics, scene: of the training runs.
-    """
+    """The status of each rolled-out run of a `RunGroup` of S runs, whose first H frames, body and
+    context were the inputs: of predicted frames float64 [S, T - H, V, D], m, and forces [S, T - H,
+    F], or None."""
     ranges = NodeRanges(group.n_rigid, statistics, scene)
     return [
         _of_run(ranges, group, run, position[run], None if force is None else force[run])

@@ -125,16 +125,9 @@ class TruthReader:
         return self._samples[split]
 
     def read(self, split: str | None, record: int | None, modes, n_soil: int | None) -> SoilTruth:
-        """The soil of one run.
-
-        Args:
-          split, record: of the run; None where they are not known: then modes are the truth.
-          modes: float64 [T, r, 3], its recorded scores.
-          n_soil: N, for a dataset without a subspace.
-
-        Raises:
-          ValueError: a sample of other runs than the records.
-        """
+        """The soil of a run (split and record; None where they are not known: then modes are the
+        truth) with recorded scores float64 [T, r, 3]; n_soil is N, for a dataset without a
+        subspace. ValueError for a sample of other runs than the records."""
         space, floor = self.subspace, of_run(self.metadata.get('projection_mse'), split, record)
         if space is None or modes.shape[1] > space.n_modes:
             return of_nodes(modes, n_soil or modes.shape[1], floor)

@@ -77,13 +77,12 @@ class Simple:
         self._soil = terramechanics.TerrainParameters()
         if self._radius:
             way = self._start - run.pose[:, 0]
-            values = (self._radius, run.tool.width, 0.0, run.soil.gravity, run.soil.friction,
-                      terramechanics.RIM_FRICTION)  # fmt: skip
-            wheels = terramechanics.Wheels(*(np.array([x]) for x in values))
+            wheel = terramechanics.Wheel(
+                self._radius, run.tool.width, 0.0, run.soil.gravity, run.soil.friction,
+                terramechanics.RIM_FRICTION,
+            )  # fmt: skip
             # A wheel is moved along its path.
-            self._bed = terramechanics.Bed(
-                wheels, self._soil, way.min(keepdims=True), way.max(keepdims=True), 80
-            )
+            self._bed = terramechanics.Bed(wheel, self._soil, way.min(), way.max(), 80)
         self.force = np.zeros(2)
 
     def step(self):
@@ -100,11 +99,11 @@ class Simple:
         elif self._radius:
             turned = self._radius * data.joint('lean').qpos[0]
             travel = self._start - data.body('tool').xpos[0]
-            contact = self._bed.contact(np.array([travel]), np.array([turned]))
-            forward, up, _ = contact.forces(np.array([depth]), self._soil)
-            self._bed.press(contact, np.array([depth]))
-            damped = max(up[0] - DAMPING * z, 0.0) if up[0] > 0 else 0.0
-            force = np.array([-forward[0], damped])
+            contact = self._bed.contact(travel, turned)
+            forward, up, _ = contact.forces(depth, self._soil)
+            self._bed.press(contact, depth)
+            damped = max(up - DAMPING * z, 0.0) if up > 0 else 0.0
+            force = np.array([-forward, damped])
         else:
             self._area += max(depth, 0.0) * max(-x, 0.0) * self._model.opt.timestep
             force = self._cut(depth, x)

@@ -102,7 +102,7 @@ def path_of(case: Case, tool) -> tuple[np.ndarray, float]:
     `wall` and `edge` go 0.1 m beyond the ground; `aside` and `turn` leave the plane of the passage
     in the second half, by 0.2 m or 45 degrees; `rest` stays where it is.
     """
-    from learning_to_simulate.soil_field.place import turned
+    from learning_to_simulate.live.poses import turned
 
     usual = BLADE if tool.name == 'blade' else WHEEL
     s, way = case.scale, 0.2013 + case.length  # frames that no bin ends with
@@ -248,7 +248,7 @@ def network(folder: str, data_path: str) -> list[dict]:
     """Rows of a method in a subspace, along the path of a recorded run: those cases that its
     inputs can tell."""
     import learning_to_simulate as lts
-    from learning_to_simulate.soil_field.place import turned
+    from learning_to_simulate.live.poses import turned
 
     model = lts.load(folder)
     run = lts.Dataset(data_path).test.records[times.driven(data_path)]

@@ -47,7 +47,7 @@ MAY_IMPORT = {
 # The main package from the ground up: a module imports those of its own line and of lines above,
 # inside functions too. The longest name that fits says which line a module is on.
 LAYERS = (
-    ('_version', 'command', 'scene', 'body_height', 'known_shapes', 'metrics', 'config',
+    ('_version', 'command', 'scene', 'known_shapes', 'metrics', 'config',
      'soil_truth', 'rendering', 'shipped', 'error_bound', 'axes', 'swept', 'bed'),
     ('render_rollout', 'connectivity_utils', 'reading_utils', 'normalization', 'checkpoints',
      'registry'),

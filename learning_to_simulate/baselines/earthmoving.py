@@ -66,7 +66,6 @@ def cutting_force(depth, rake, heap_area, soil: BladeSoil):
       depth: [...] of the edge below the surface ahead of it, m; no force where it is not positive.
       rake: [...] angle of the face to the horizontal, rad.
       heap_area: [...] cross-section of the heap ahead of the blade, m2.
-      soil: parameters.
 
     Returns:
       [..., 2, 2]: the wedge's part and the heap's part of the force, each backward (against the
@@ -91,10 +90,8 @@ def cutting_force(depth, rake, heap_area, soil: BladeSoil):
 
 
 def _heap_within(reach, area, soil):
-    """Area (m2) of a heap's part within a reach (m) ahead of the blade.
-
-    A triangle at the angle of repose against the blade, no higher than it.
-    """
+    """Area (m2) of the part of a heap within a reach (m) ahead of the blade: a triangle at the
+    angle of repose against it, no higher than it."""
     slope = np.tan(soil.repose_angle)
     area = np.minimum(area, 0.5 * soil.height**2 / slope)[..., None]
     length = np.sqrt(2.0 * area / slope)

@@ -45,8 +45,7 @@ class RidgeModel:
 
     def layout(self, n_rigid: int):
         """No graph."""
-        n_node = n_rigid + self.simulator.scene.n_modes
-        return SimpleNamespace(n_node=n_node, n_edge=0, senders=(), receivers=())
+        return SimpleNamespace(n_edge=0)
 
 
 class RidgeEvaluator(evaluation.Evaluator):
@@ -54,9 +53,8 @@ class RidgeEvaluator(evaluation.Evaluator):
 
     def roll_out(self, group) -> Rollout:
         simulator, start = self._model.simulator, time.perf_counter()
-        predicted = self._model.method.predict(group)  # type: ignore[attr-defined]
+        position, force = self._model.method.predict(group)  # type: ignore[attr-defined]
         seconds = time.perf_counter() - start
-        position, force = predicted.position, predicted.force
         judgements = rollout_status.judge(
             group, position, force, simulator.statistics, simulator.scene
         )
@@ -90,8 +88,8 @@ def fit(config: PathRidgeConfig, data_path: str, metadata: dict, train_groups, v
         return tqdm.tqdm(choices, unit='choice', desc='path ridge', disable=None)
 
     return path_ridge.PathRidge.fit(
-        train_groups, valid_groups, scene, surface, config.max_samples, progress=progress,
-        **(path_ridge.FEW_RUNS if config.leave_one_out else {}),
+        train_groups, valid_groups, scene, surface, config.max_samples, config.leave_one_out,
+        progress,
     )  # fmt: skip
 
 

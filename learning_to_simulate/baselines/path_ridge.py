@@ -19,7 +19,6 @@ that was, and the profile at places that are the same in all runs, as the partic
 import dataclasses
 import itertools
 import json
-from typing import NamedTuple
 
 import numpy as np
 
@@ -36,8 +35,7 @@ ALPHAS = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1)
 # Name of a kernel -> smoothness nu of Matérn's (Rasmussen & Williams 2006, 4.14). The rougher, the
 # sooner a regression goes back to the mean away from its samples.
 KERNELS = {'gaussian': np.inf, 'matern': 1.5, 'exponential': 0.5}
-# Of a dataset of a dozen runs; see `PathRidge.fit`.
-FEW_RUNS = {'leave_one_out': True, 'kernels': tuple(KERNELS), 'n_best': 10}
+BEST = 10  # of a dozen runs, regressions of each kernel that are averaged
 UNITS = {SOIL: 'm of a score', FORCE: 'N', HEIGHT: 'm'}
 # Samples that choose where runs are left out; what is chosen is fitted to all `max_samples`.
 _CHOOSING_SAMPLES = 800
@@ -45,13 +43,6 @@ _CHOOSING_SAMPLES = 800
 _FREE_FORCE = 'free force'
 SETS = ('path', 'swept', 'bed')
 PROFILE_BINS = 15
-
-
-class Prediction(NamedTuple):
-    """Predicted frames H .. T - 1 of S runs."""
-
-    position: np.ndarray  # float64 [S, T - H, V, D], m; what is not predicted stays still
-    force: np.ndarray | None  # float64 [S, T - H, D], N
 
 
 def held_position(group, scene, height=None) -> np.ndarray:
@@ -169,13 +160,9 @@ class PathInputs:
         size = np.stack([np.log(radius), np.log(width), height], axis=1)
         return [np.stack(rows, axis=-1), np.repeat(size[:, None], body.shape[1], axis=1)]
 
-    def to_json(self) -> dict:
-        values = dataclasses.asdict(self)
-        return {name: values[name] for name in ('axes', 'surface', 'reach', 'places', 'grid')}
-
     @classmethod
     def from_json(cls, values: dict, scene: Scene) -> 'PathInputs':
-        """Raises KeyError, TypeError or ValueError on foreign values."""
+        """Of its fields but the scene; KeyError, TypeError or ValueError on foreign values."""
         reach, places = (tuple(map(float, values[name])) for name in ('reach', 'places'))
         axes, grid = Axes(**values['axes']), swept.SweptGrid(**values['grid'])
         return cls(scene, axes, float(values['surface']), reach, places, grid)
@@ -183,7 +170,8 @@ class PathInputs:
 
 @dataclasses.dataclass(frozen=True)
 class Regression:
-    """A fitted kernel ridge: y(x) = offset + sum_i dual_i k(x', x'_i), x' = (x - shift) / scale."""
+    """A fitted kernel ridge: y(x) = offset + sum_i dual_i k(x', x'_i), x' = (x - shift) / scale;
+    ValueError for arrays that do not fit each other."""
 
     inputs: str  # which inputs it sees, a name of `SETS`
     gamma: float  # width of the kernel on scaled inputs, 1 / (2 length²)
@@ -196,10 +184,22 @@ class Regression:
     # [O], the mean of training; None where the output is the change since the last given frame.
     offset: np.ndarray | None = None
 
+    def __post_init__(self):
+        n, inputs = self.samples.shape
+        arrays = (self.shift, self.scale, self.samples, self.dual)
+        if (
+            not self.shift.shape == self.scale.shape == (inputs,)
+            or self.dual.ndim != 2
+            or len(self.dual) != n
+            or (self.offset is not None and self.offset.shape != self.dual.shape[1:])
+            or not all(np.isfinite(v).all() for v in arrays)
+            or not (self.scale > 0).all()
+            or self.kernel not in KERNELS
+        ):
+            raise ValueError('arrays do not fit each other')
+
     @classmethod
-    def fit(
-        cls, inputs: str, x, y, gamma: float, alphas, kernel: str = 'gaussian'
-    ) -> list['Regression']:
+    def fit(cls, inputs: str, x, y, gamma: float, alphas, kernel: str) -> list['Regression']:
         """Fits outputs y [n, O] to inputs x [n, I], once with each ridge; `gamma` is per number of
         inputs."""
         from sklearn.kernel_ridge import KernelRidge  # slow to load, and only fits need it
@@ -235,21 +235,6 @@ class Regression:
         """Outputs [..., O] at inputs [..., I]."""
         return self.gram(x) @ self.dual
 
-    def check(self) -> None:
-        """Raises ValueError where the arrays do not fit each other."""
-        n, inputs = self.samples.shape
-        arrays = (self.shift, self.scale, self.samples, self.dual)
-        if (
-            not self.shift.shape == self.scale.shape == (inputs,)
-            or self.dual.ndim != 2
-            or len(self.dual) != n
-            or (self.offset is not None and self.offset.shape != self.dual.shape[1:])
-            or not all(np.isfinite(v).all() for v in arrays)
-            or not (self.scale > 0).all()
-            or self.kernel not in KERNELS
-        ):
-            raise ValueError('arrays do not fit each other')
-
 
 def _scaling(x):
     """Shift and scale [I] of inputs; what does not vary is not blown up."""
@@ -264,36 +249,6 @@ def gram_matrix(a, b, gamma: float, kernel: str) -> np.ndarray:
     return Matern(1.0 / np.sqrt(2.0 * gamma), nu=KERNELS[kernel])(a, b)
 
 
-def errors_left_out(x, y, run, gamma: float, alphas, kernel: str = 'gaussian') -> list[np.ndarray]:
-    """What the samples of each run are off when the others alone are fitted, [n, O] for each ridge.
-
-    With G = (K + alpha I)^-1 and c = G y, a fit without the samples g is off by G_gg^-1 c_g on
-    them (Rasmussen & Williams 2006, 5.12, has it for one sample), so that one eigendecomposition
-    serves all runs and ridges.
-
-    Args:
-      x: [n, I] inputs, scaled here as `Regression.fit` does.
-      y: [n, O] outputs.
-      run: int [n], the run of each sample.
-      gamma: width per number of inputs.
-    """
-    shift, scale = _scaling(x)
-    scaled = (x - shift) / scale
-    values, vectors = np.linalg.eigh(gram_matrix(scaled, scaled, gamma / x.shape[1], kernel))
-    along = vectors.T @ y
-    found = []
-    for alpha in alphas:
-        inverse = 1.0 / (np.maximum(values, 0.0) + alpha)
-        dual = vectors @ (inverse[:, None] * along)
-        errors = np.empty_like(y)
-        for g in np.unique(run):
-            own = run == g
-            block = (vectors[own] * inverse) @ vectors[own].T
-            errors[own] = np.linalg.solve(block, dual[own])
-        found.append(errors)
-    return found
-
-
 class PathRidge:
     """Fitted regressions of one scene: output ('soil', 'force', 'height') -> list of `Regression`,
     whose mean it is; `choices` say what was tried, for the record."""
@@ -304,18 +259,7 @@ class PathRidge:
 
     @classmethod
     def fit(
-        cls,
-        train,
-        valid,
-        scene,
-        surface=None,
-        max_samples=3000,
-        gammas=GAMMAS,
-        alphas=ALPHAS,
-        progress=iter,
-        leave_one_out=False,
-        kernels=('gaussian',),
-        n_best=1,
+        cls, train, valid, scene, surface=None, max_samples=3000, few_runs=False, progress=iter
     ) -> 'PathRidge':
         """Fits all outputs, and chooses inputs, width and ridge by the error on the valid runs.
 
@@ -325,12 +269,10 @@ class PathRidge:
           surface: height of the resting bed, m; None takes where the tools begin.
           max_samples: frames of training that are taken, evenly spread; the time of a fit grows
             with their cube.
-          gammas, alphas: to choose from; `gammas` are divided by the number of inputs.
+          few_runs: train on the valid runs, too, and choose by the error on each run of a fit to
+            all others (errors on valid are then errors of training); the mean of the `BEST` choices
+            of each kernel predicts.
           progress: wraps the list of choices, e.g. `tqdm.tqdm`.
-          leave_one_out: train on the valid runs, too, and choose by the error on each run of a fit
-            to all others. Errors on valid are then errors of training.
-          kernels: names of `KERNELS`.
-          n_best: with each kernel this number of the best choices is fitted; all are averaged.
 
         Raises:
           ValueError: no runs, or a body whose motion is not known (the path is all there is).
@@ -341,25 +283,28 @@ class PathRidge:
             )
         if not train or not valid:
             raise ValueError('path_ridge needs train runs to fit and valid runs to choose by')
-        groups = [*train, *valid] if leave_one_out else train
+        groups = [*train, *valid] if few_runs else train
         reader = PathInputs.of(groups, scene, surface)
         samples = _Samples(groups, reader, max_samples)
-        grid = progress(list(itertools.product(kernels, reader.sets, gammas)))
-        if leave_one_out:
+        kernels = tuple(KERNELS) if few_runs else ('gaussian',)
+        grid = progress(list(itertools.product(kernels, reader.sets, GAMMAS)))
+        if few_runs:
             few = _Samples(groups, reader, min(max_samples, _CHOOSING_SAMPLES))
-            choices = list(_left_out(few, grid, alphas))
+            choices = list(_left_out(few, grid))
         else:
-            choices = list(_on_valid(samples, valid, reader, grid, alphas))
+            choices = list(_on_valid(samples, valid, reader, grid))
         regressions: dict = {}
         choices_of = {}
         for choice in choices:
             choices_of.setdefault((choice['output'], choice['kernel']), []).append(choice)
         for (name, _), tried in choices_of.items():
-            best = sorted(tried, key=lambda choice: choice['error'])[:n_best]
+            best = sorted(tried, key=lambda choice: choice['error'])[: BEST if few_runs else 1]
             regressions.setdefault(name, []).extend(map(samples.fitted, best))
         return cls(scene, reader, regressions, choices)
 
-    def predict(self, group) -> Prediction:
+    def predict(self, group) -> tuple[np.ndarray, np.ndarray | None]:
+        """Frames H .. T - 1 of S runs: positions float64 [S, T - H, V, D], m, where what is not
+        predicted stays still, and forces float64 [S, T - H, D], N, or None."""
         seen: dict = {}
         predicted = {}
         for name, regressions in self.regressions.items():
@@ -379,7 +324,7 @@ class PathRidge:
         position = held_position(group, self.scene, height)
         soil = position[:, :, n_rigid:]
         soil += predicted[SOIL].reshape(soil.shape)
-        return Prediction(position, predicted.get(FORCE))
+        return position, predicted.get(FORCE)
 
     def least_errors(self) -> dict[str, float]:
         """Output -> error of its best choice: mean over the judging runs of the RMS, m or N."""
@@ -402,7 +347,8 @@ class PathRidge:
                     if (values := getattr(regression, part)) is not None:
                         arrays[f'{name}/{i}/{part}'] = values
         # JSON as text: what was tried is thousands of lines otherwise.
-        about = {'reader': self.reader.to_json(), 'outputs': outputs}
+        reader = dataclasses.asdict(dataclasses.replace(self.reader, scene=None))
+        about = {'reader': reader, 'outputs': outputs}
         return about | {'choices': json.dumps(self.choices)}, arrays
 
     @classmethod
@@ -416,9 +362,8 @@ class PathRidge:
             for i, about in enumerate(each):
                 prefix = f'{name}/{i}/'
                 own = {k.removeprefix(prefix): v for k, v in arrays.items() if k.startswith(prefix)}
-                one = Regression(**about, **{k: v.astype(np.float64) for k, v in own.items()})
-                one.check()
-                regressions[name].append(one)
+                arrays_of = {k: v.astype(np.float64) for k, v in own.items()}
+                regressions[name].append(Regression(**about, **arrays_of))
         reader = PathInputs.from_json(values['reader'], scene)
         return cls(scene, reader, regressions, json.loads(values['choices']))
 
@@ -440,16 +385,12 @@ def _targets(group, scene) -> dict[str, np.ndarray]:
 
 
 class _Samples:
-    """Frames of runs that regressions are fitted to, with all targets side by side.
+    """Frames of runs that regressions are fitted to, with all targets side by side: y [n, O], less
+    their offsets ([O'] or None, see `Regression`), in `columns` by target, and the run of each
+    sample, int [n].
 
     Every `stride`-th frame from the last given one on, of about `max_samples` in all; successive
     runs begin one frame later, so that together they cover all frames.
-
-    Attributes:
-      run: int [n], the run of each sample.
-      y: [n, O], all targets less their offsets.
-      columns: target -> its columns in y.
-      offsets: target -> [O'] or None, see `Regression`.
     """
 
     def __init__(self, groups, reader, max_samples):
@@ -493,12 +434,12 @@ class _Samples:
         return whole.columns(self.columns[target], self.offsets[target])
 
 
-def _on_valid(samples, valid, reader, grid, alphas):
+def _on_valid(samples, valid, reader, grid):
     """Every choice with its error on the valid runs."""
     truth = [{n: v[:, H:] for n, v in _targets(g, reader.scene).items()} for g in valid]
     seen = {name: [reader.read(g, name)[:, H - 1 :] for g in valid] for name in reader.sets}
     for kernel, inputs, gamma in grid:
-        wholes = Regression.fit(inputs, samples.inputs(inputs), samples.y, gamma, alphas, kernel)
+        wholes = Regression.fit(inputs, samples.inputs(inputs), samples.y, gamma, ALPHAS, kernel)
         grams = [wholes[0].gram(x) for x in seen[inputs]]
         for whole in wholes:
             values = [gram @ whole.dual for gram in grams]
@@ -511,17 +452,25 @@ def _on_valid(samples, valid, reader, grid, alphas):
                 yield _choice(target, kernel, inputs, gamma, whole.alpha, np.concatenate(errors))
 
 
-def _left_out(samples, grid, alphas):
+def _left_out(samples, grid):
     """Every choice with its error on each run of a fit to all others."""
-    runs = np.unique(samples.run)
+    from sklearn.kernel_ridge import KernelRidge
+    from sklearn.model_selection import LeaveOneGroupOut, cross_val_predict
+
     for kernel, inputs, gamma in grid:
         x = samples.inputs(inputs)
-        off = errors_left_out(x, samples.y, samples.run, gamma, alphas, kernel)
-        for alpha, errors in zip(alphas, off, strict=True):
+        shift, scale = _scaling(x)
+        scaled = (x - shift) / scale
+        gram = gram_matrix(scaled, scaled, gamma / x.shape[1], kernel)
+        for alpha in ALPHAS:
+            ridge = KernelRidge(alpha=alpha, kernel='precomputed')
+            predicted = cross_val_predict(
+                ridge, gram, samples.y, groups=samples.run, cv=LeaveOneGroupOut()
+            )
             for target, which in samples.columns.items():
-                square = (errors[:, which] ** 2).mean(axis=1)
-                of_run = np.array([square[samples.run == run].mean() for run in runs])
-                yield _choice(target, kernel, inputs, gamma, alpha, of_run)
+                square = ((predicted - samples.y)[:, which] ** 2).mean(axis=1)
+                runs = [square[samples.run == run].mean() for run in np.unique(samples.run)]
+                yield _choice(target, kernel, inputs, gamma, alpha, np.array(runs))
 
 
 def _choice(target, kernel, inputs, gamma, alpha, square):

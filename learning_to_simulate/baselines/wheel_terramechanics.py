@@ -41,19 +41,19 @@ class TerrainParameters:
     elastic: float = 20.0  # stiffness of unloading over p(z) / z of the point at its deepest
 
 
-class Wheels(NamedTuple):
-    """S wheels and their soils."""
+class Wheel(NamedTuple):
+    """A wheel and its soil."""
 
-    radius: np.ndarray  # [S], m
-    width: np.ndarray  # [S], m
-    load: np.ndarray  # [S] or [S, T], N
-    gravity: np.ndarray  # [S], m/s2
-    soil_friction: np.ndarray  # [S], tan(phi) of the soil
-    rim_friction: np.ndarray  # [S], Coulomb coefficient between soil and rim
+    radius: float  # m
+    width: float  # m
+    load: float | np.ndarray  # N, of all frames or [T]
+    gravity: float  # m/s2
+    soil_friction: float  # tan(phi) of the soil
+    rim_friction: float  # Coulomb coefficient between soil and rim
 
 
 class WheelMotion(NamedTuple):
-    """What the model says of each frame, all [S, T]."""
+    """What the model says of each frame, all [T]."""
 
     sinkage: np.ndarray  # of the lowest point below the flat surface, m
     drawbar: np.ndarray  # forward force of the soil on the wheel, N
@@ -62,22 +62,22 @@ class WheelMotion(NamedTuple):
 
 
 class Contact(NamedTuple):
-    """The bins [S, n] under S wheels in one frame; [S, 1] what is the same for all bins."""
+    """The bins [n] under a wheel in one frame."""
 
     arch: np.ndarray  # height of the rim above its lowest point, m; infinite beyond the rim
     sine: np.ndarray  # of the rim's angle from its lowest point, positive ahead
     cosine: np.ndarray
     deepest: np.ndarray  # sinkage so far, m
     shear: np.ndarray  # share of the shear strength that is mobilised, signed
-    modulus: np.ndarray  # p / z^n, Pa/m^n
-    friction: np.ndarray  # that limits the shear stress
-    area: np.ndarray  # of a bin, m2
+    modulus: float  # p / z^n, Pa/m^n
+    friction: float  # that limits the shear stress
+    area: float  # of a bin, m2
     window: np.ndarray  # numbers of the bins
     slip: np.ndarray  # shear displacement j, m
 
     def pressure(self, sinkage, parameters):
-        """Normal stress [S, n] (Pa) at sinkages [S] (m) of the lowest points."""
-        z = sinkage[:, None] - self.arch
+        """Normal stress [n] (Pa) at a sinkage (m) of the lowest point."""
+        z = sinkage - self.arch
         most = np.maximum(z, self.deepest)
         virgin = self.modulus * np.maximum(most, 0.0) ** parameters.n
         # Unloading: a share of p is gone for each share of its depth that the rim has risen.
@@ -86,56 +86,50 @@ class Contact(NamedTuple):
         return np.where(z > 0, virgin * left, 0.0)
 
     def forces(self, sinkage, parameters):
-        """Forward and upward force [S], N, and torque per radius [S], N, at sinkages [S]."""
+        """Forward and upward force, N, and torque per radius, N, at a sinkage (m)."""
         pressure = self.pressure(sinkage, parameters)
         strength = np.where(pressure > 0, parameters.cohesion + pressure * self.friction, 0.0)
         tau = strength * self.shear
         # A bin's share of the rim is area / cosine; stresses turn with the rim.
         tangent = self.sine / self.cosine
         return (
-            ((tau - pressure * tangent) * self.area).sum(axis=1),
-            ((pressure + tau * tangent) * self.area).sum(axis=1),
-            (tau / self.cosine * self.area).sum(axis=1),
+            ((tau - pressure * tangent) * self.area).sum(),
+            ((pressure + tau * tangent) * self.area).sum(),
+            (tau / self.cosine * self.area).sum(),
         )
 
 
 class Bed:
-    """Bins along the travel of S wheels, between the least and largest travel [S] of their axles
-    (m), and what the wheels have done to them; `n_bin` for each radius of travel."""
+    """Bins along the travel of a wheel, between the least and largest of its axle (m), and what it
+    has done to them; `n_bin` for each radius of travel."""
 
     def __init__(
-        self, wheels: Wheels, parameters: TerrainParameters, first, last, n_bin: int = 160
-    ):  # fmt: skip
-        self._parameters, self._n_bin = parameters, n_bin
-        self._radius, width, soil_friction, rim_friction, gravity = (
-            np.asarray(x, np.float64)[:, None]
-            for x in (wheels.radius, wheels.width, wheels.soil_friction, wheels.rim_friction,
-                      wheels.gravity)
-        )  # fmt: skip
-        of_gravity = gravity / EARTH_GRAVITY
-        self._modulus = (parameters.k_c / width + parameters.k_phi) * of_gravity
+        self, wheel: Wheel, parameters: TerrainParameters, first: float, last: float, n_bin: int
+    ):
+        self._parameters, self._n_bin, self._radius = parameters, n_bin, wheel.radius
+        self._modulus = (parameters.k_c / wheel.width + parameters.k_phi) * (
+            wheel.gravity / EARTH_GRAVITY
+        )
         # The rim slides before the soil shears where it is the smoother of both.
-        self._friction = np.minimum(soil_friction, rim_friction)
-        self._spacing = self._radius / n_bin  # [S, 1]
-        self._area = width * self._spacing
-        self._start = np.asarray(first)[:, None] - self._radius
-        reach = (np.asarray(last) - first + 2 * self._radius[:, 0]) / self._spacing[:, 0]
-        self._places = self._start + self._spacing * np.arange(int(np.ceil(reach.max())) + 1)
-        self._deepest, self._shear = np.zeros((2, *self._places.shape))  # [S, n]
+        self._friction = min(wheel.soil_friction, wheel.rim_friction)
+        self._spacing = wheel.radius / n_bin
+        self._area = wheel.width * self._spacing
+        self._start = first - wheel.radius
+        count = int(np.ceil((last - first + 2 * wheel.radius) / self._spacing)) + 1
+        self._places = self._start + self._spacing * np.arange(count)
+        self._deepest, self._shear = np.zeros((2, count))
         self._last: tuple | None = None
 
-    def contact(self, travel, rolled) -> Contact:
-        """The bins under the wheels after travel [S] and radius times angle turned [S], m; nothing
-        has been sheared before the first one."""
-        travel, rolled = travel[:, None], rolled[:, None]
+    def contact(self, travel: float, rolled: float) -> Contact:
+        """The bins under the wheel after a travel and radius times angle turned, m; nothing has
+        been sheared before the first one."""
         # Only bins under the wheel are looked at: a frame costs the same on every path.
-        first = np.floor((travel - self._radius - self._start) / self._spacing).astype(int)
-        window = first + np.arange(2 * self._n_bin + 2)
-        window = np.clip(window, 0, self._places.shape[1] - 1)
-        ahead = np.take_along_axis(self._places, window, axis=1) - travel
+        first = int(np.floor((travel - self._radius - self._start) / self._spacing))
+        window = np.clip(first + np.arange(2 * self._n_bin + 2), 0, len(self._places) - 1)
+        ahead = self._places[window] - travel
         sine = np.clip(ahead / self._radius, -_RIM_END, _RIM_END)
         cosine = np.sqrt(1.0 - sine**2)
-        slip = np.take_along_axis(self._shear, window, axis=1)
+        slip = self._shear[window]
         if self._last is not None:
             # The rim passes the soil at omega R - v cos(angle).
             slip = slip + (rolled - self._last[1]) - (travel - self._last[0]) * cosine
@@ -144,7 +138,7 @@ class Bed:
             arch=np.where(np.abs(sine) < _RIM_END, self._radius * (1.0 - cosine), np.inf),
             sine=sine,
             cosine=cosine,
-            deepest=np.take_along_axis(self._deepest, window, axis=1),
+            deepest=self._deepest[window],
             shear=np.sign(slip) * (1.0 - np.exp(-np.abs(slip) / self._parameters.shear_modulus)),
             modulus=self._modulus,
             friction=self._friction,
@@ -153,40 +147,39 @@ class Bed:
             slip=slip,
         )
 
-    def press(self, contact: Contact, sinkage) -> None:
-        """Keeps what wheels at sinkages [S] (m) have pressed in and sheared."""
+    def press(self, contact: Contact, sinkage: float) -> None:
+        """Keeps what the wheel at a sinkage (m) has pressed in and sheared."""
         pressed = contact.pressure(sinkage, self._parameters) > 0
-        reached = np.where(pressed, sinkage[:, None] - contact.arch, 0.0)
-        window = contact.window
-        np.put_along_axis(self._deepest, window, np.maximum(contact.deepest, reached), axis=1)
-        np.put_along_axis(self._shear, window, np.where(pressed, contact.slip, 0.0), axis=1)
+        reached = np.where(pressed, sinkage - contact.arch, 0.0)
+        self._deepest[contact.window] = np.maximum(contact.deepest, reached)
+        self._shear[contact.window] = np.where(pressed, contact.slip, 0.0)
 
 
 def drive(
-    wheels: Wheels, travel, rolled, parameters: TerrainParameters, n_bin: int = 160
+    wheel: Wheel, travel, rolled, parameters: TerrainParameters, n_bin: int = 160
 ) -> WheelMotion:
-    """Drives wheels over flat soil, each frame in equilibrium with its load.
+    """Drives a wheel over flat soil, each frame in equilibrium with its load.
 
     Frame 0 rests under the load; the soil then has no shear. A wheel whose load the soil does not
     bear is buried to its axle; its vertical force stays below the load.
 
     Args:
-      travel: [S, T] of the axle, m, forward.
-      rolled: [S, T] radius times the angle turned, m, forward.
+      travel: [T] of the axle, m, forward.
+      rolled: [T] radius times the angle turned, m, forward.
       n_bin: bins per radius of travel.
     """
-    bed = Bed(wheels, parameters, travel.min(axis=1), travel.max(axis=1), n_bin)
-    radius = np.asarray(wheels.radius, np.float64)
-    loads = np.broadcast_to(np.reshape(wheels.load, (len(travel), -1)), travel.shape)
+    bed = Bed(wheel, parameters, travel.min(), travel.max(), n_bin)
     rows = []
-    for t in range(travel.shape[1]):
-        contact = bed.contact(travel[:, t], rolled[:, t])
-        low, high = np.zeros(len(radius)), radius.copy()
+    for way, turn, load in zip(travel, rolled, np.broadcast_to(wheel.load, travel.shape)):
+        contact = bed.contact(way, turn)
+        low, high = 0.0, wheel.radius
         for _ in range(_BISECTIONS):
             middle = (low + high) / 2
-            bears = contact.forces(middle, parameters)[1] >= loads[:, t]
-            low, high = np.where(bears, low, middle), np.where(bears, middle, high)
+            if contact.forces(middle, parameters)[1] >= load:
+                high = middle
+            else:
+                low = middle
         forward, upward, moment = contact.forces(high, parameters)
-        rows.append((high, forward, upward, radius * moment))
+        rows.append((high, forward, upward, wheel.radius * moment))
         bed.press(contact, high)
-    return WheelMotion(*(np.stack(x, axis=1) for x in zip(*rows, strict=True)))
+    return WheelMotion(*np.transpose(rows))

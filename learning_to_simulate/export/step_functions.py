@@ -14,7 +14,7 @@ from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.rollout import corrected_step
 from learning_to_simulate.scene import RigidMotion
 from learning_to_simulate.subspace.learned_simulator import SimulatorState, initial_state
-from learning_to_simulate.subspace.rigid_body import Correction, known_motion
+from learning_to_simulate.subspace.rigid_body import known_motion, shape_of
 from pca_tools import subspace
 
 COMPARED_STEPS = 8
@@ -34,19 +34,13 @@ MEANING = {
 
 
 class StepFunctions:
-    """The functions that are exported, for one graph of R rigid particles and r modes.
-
-    Args:
-      space: `Subspace` for `reconstruct`, or None: then there is no such function.
-      group: one-run `RunGroup` to compare on.
-
-    Raises:
-      ValueError: a model with a memory of the path.
-    """
+    """The functions that are exported, for one graph of R rigid particles and r modes; ValueError
+    for a model with a memory of the path. `space` is the `Subspace` for `reconstruct` (None: there
+    is no such function), `group` a one-run `RunGroup` to compare on."""
 
     meaning = MEANING
 
-    def __init__(self, simulator, layout, space, group=None):
+    def __init__(self, simulator, layout, space, group):
         if simulator.config.reads_path:
             raise ValueError(
                 'mode_order 0: an exported step has no memory of the path; use the stepper'
@@ -72,10 +66,10 @@ class StepFunctions:
         if rigid_offset is not None:
             known = known_motion(rigid_offset[None], rigid_velocity[None], self._scene)
         context = None if context is None else context[None]
-        state, correction, n = SimulatorState(offset[None], velocity[None]), None, layout.n_rigid
+        state, shape, n = SimulatorState(offset[None], velocity[None]), None, layout.n_rigid
         if self._scene.rigid_motion == RigidMotion.PREDICTED:
-            correction = Correction(state.offset[:, :n], layout.origin[:n])
-        after, force = corrected_step(self._simulator, layout, state, known, context, correction)
+            shape = shape_of(state.offset[:, :n], layout.origin[:n])
+        after, force = corrected_step(self._simulator, layout, state, known, context, shape)
         found = {'next_offset': after.offset[0], 'next_velocity': after.velocity[0]}
         return found if force is None else found | {'force': force[0]}
 

@@ -40,8 +40,7 @@ class ParticleModel:
 
     def layout(self, n_rigid: int):
         """A graph without lasting edges."""
-        n_node = n_rigid + self.simulator.scene.n_modes
-        return SimpleNamespace(n_node=n_node, n_edge=0, senders=(), receivers=())
+        return SimpleNamespace(n_edge=0)
 
     def edge_counts(self) -> dict[str, int]:
         return {}
@@ -83,7 +82,7 @@ def train(data_path, model_path, config, options) -> dict:
     weights = sum(int(np.prod(v.shape)) for v in model.simulator.trainable_variables)
     training = loop.Training(
         model=model,
-        trainer=ParticleTrainer(model, read[:1], share if share.count > 1 else None),
+        trainer=ParticleTrainer(model, read[0], share if share.count > 1 else None),
         evaluator=ParticleEvaluator(model, {} if raw_path else metadata),
         valid=read[1:],
         n_rigid=read[0].n_rigid,
@@ -147,7 +146,7 @@ def open_model(model_path, data_path, split, overrides=None, raw_path=None) -> O
         [group],
         metadata,
         ParticleEvaluator(model, metadata),
-        lambda: ParticleTrainer(model, [group]).one_step_errors(),
+        lambda: ParticleTrainer(model, group).one_step_errors(),
     )
 
 

@@ -31,10 +31,11 @@ def read_runs(data_path, raw_path, split, metadata, soil_particles) -> RunGroup:
         other numbers of rigid particles or frames, or without a subspace.
     """
     records = dataset.read_split(data_path, split)
-    soils = _raw_soil(raw_path, metadata, split, records) if raw_path else _decoded_soil
+    soils = _decoded_soil(data_path, records)
+    if raw_path:
+        soils = _raw_soil(raw_path, metadata, data_path, split, records)
     positions = []
-    for i, run in enumerate(records):
-        soil = soils(data_path, run, i) if raw_path else soils(data_path, run)  # type: ignore[call-arg]
+    for i, (run, soil) in enumerate(zip(records, soils)):
         kept = thinned_indices(soil.shape[1], soil_particles)
         rigid = run.position[:, : run.n_rigid].astype(np.float64)
         positions.append(np.concatenate([rigid, soil[:, kept]], axis=1))
@@ -55,17 +56,18 @@ def read_runs(data_path, raw_path, split, metadata, soil_particles) -> RunGroup:
     )
 
 
-def _decoded_soil(data_path, run):
+def _decoded_soil(data_path, records):
     path = os.path.join(data_path, 'subspace.npz')
     if not os.path.isfile(path):
         raise FileNotFoundError(
             f'{path}: no such file; without a subspace full_space needs the raw runs (--raw_path)'
         )
-    return Subspace.load(path).decode(run.position[:, run.n_rigid :])
+    space = Subspace.load(path)
+    yield from (space.decode(run.position[:, run.n_rigid :]) for run in records)
 
 
-def _raw_soil(raw_path, metadata, split, records):
-    """A function that opens the soil particles of record i, checked against the record."""
+def _raw_soil(raw_path, metadata, data_path, split, records):
+    """Soil particles of the raw run of each record, checked against it."""
     raw = RawRuns(raw_path)
     cases = [entry['case'] for entry in metadata.get('cases', {}).get(split, [])]
     if len(cases) != len(records):
@@ -75,17 +77,13 @@ def _raw_soil(raw_path, metadata, split, records):
         )
     if lacking := sorted(set(cases) - set(raw.cases)):
         raise ValueError(f'{raw_path}: lacks the runs of the {split} cases {lacking}')
-
-    def soil(data_path, record, i):
-        run = raw[raw.cases.index(cases[i])]
-        body = record.position[:, : record.n_rigid]
+    for i, (case, record) in enumerate(zip(cases, records)):
+        run, body = raw[raw.cases.index(case)], record.position[:, : record.n_rigid]
         if run.rigid_positions.shape != body.shape or not np.allclose(
             run.rigid_positions, body, atol=1e-5
         ):
             raise ValueError(
-                f'{raw_path}: the body of case {cases[i]} does not move as in {split} record {i} '
-                f'of {data_path}: the raw runs are of another dataset'
+                f'{raw_path}: the body of case {case} does not move as in {split} record {i} of '
+                f'{data_path}: the raw runs are of another dataset'
             )
-        return run.positions.astype(np.float64)
-
-    return soil
+        yield run.positions.astype(np.float64)

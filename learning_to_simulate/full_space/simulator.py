@@ -11,7 +11,7 @@ import sonnet as snt
 import tensorflow as tf
 from scipy.spatial import cKDTree
 
-from learning_to_simulate.body_height import height_of, without_height
+from learning_to_simulate.axes import height_of, without_height
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH
 from learning_to_simulate.normalization import Arrays, array, floored
 from learning_to_simulate.scene import RigidMotion, Scene
@@ -110,16 +110,9 @@ def neighbour_list(position, radius: float, n_rigid: int):
 
 
 class ParticleSimulator(snt.Module):
-    """One frame of the simulation of thinned soil and a body.
-
-    Args:
-      scene: `n_modes` counts the soil particles, `connectivity_radius` is that of the graph.
-      config, statistics: `FullSpaceConfig`, `ParticleStatistics`.
-      particle_types: for the record.
-
-    Raises:
-      ValueError: a body whose particles are all to be predicted.
-    """
+    """One frame of the simulation of thinned soil and a body; ValueError for one whose particles
+    are all to be predicted. In its scene `n_modes` counts the soil particles, and
+    `connectivity_radius` is that of the graph; `particle_types` are for the record."""
 
     def __init__(self, scene: Scene, config, statistics, particle_types=(0, 6), name=None):
         super().__init__(name=name)

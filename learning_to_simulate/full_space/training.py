@@ -12,21 +12,16 @@ _WINDOW_STREAM, _EVALUATION_STREAM = 11, 12
 
 
 class ParticleTrainer(GradientTraining):
-    """Holds one group of runs, the optimiser and one compiled step; batches are made on the host.
-
-    Args:
-      model: `method.ParticleModel`.
-      group: `RunGroup` of particles.
-      share: of the processes that train together; None for this one alone.
+    """Holds one `RunGroup` of particles, the optimiser and one compiled step; batches are made on
+    the host, and dealt to the processes that train together (`share`; None for this one alone).
 
     Raises:
       ValueError: runs shorter than a window, or batches that cannot be dealt to the processes.
     """
 
-    def __init__(self, model, groups, share=None):
+    def __init__(self, model, group, share=None):
         super().__init__(model.simulator, clip_norm=1.0)
-        (self._group,) = groups
-        self._share = share
+        self._group, self._share = group, share
         if self._group.position.shape[1] <= H:
             raise ValueError(
                 f'runs of {self._group.position.shape[1]} frames are shorter than the training '

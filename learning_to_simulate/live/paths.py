@@ -8,17 +8,17 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
-from learning_to_simulate.evaluation import soil_of_run, total_force
+from learning_to_simulate.evaluation import file_arrays, soil_of_run, total_force
 from learning_to_simulate.live import poses
 from learning_to_simulate.live.starts import Start
-from learning_to_simulate.rollout_status import Judgement, RolloutStatus
+from learning_to_simulate.rollout_status import Judged, Judgement, RolloutStatus
 from learning_to_simulate.scene import RigidMotion, Scene
 from learning_to_simulate.soil_truth import PARTICLES, SoilTruth
 from pca_tools import dataset, files
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
-class SoilRollout:
+class SoilRollout(Judged):
     """A predicted run of T' frames after H given ones.
 
     Attributes:
@@ -53,20 +53,8 @@ class SoilRollout:
 
     torque = None  # none of these models predicts one
 
-    def __repr__(self) -> str:
-        reason = f' ({self.reason})' if self.reason else ''
-        return f'<rollout {self.name!r}: {len(self)} frames, {self.status}{reason}>'
-
     def __len__(self) -> int:
         return len(self.soils)
-
-    @property
-    def status(self) -> RolloutStatus:
-        return self.judgement.status
-
-    @property
-    def reason(self) -> str:
-        return self.judgement.reason
 
     @property
     def soil_mm(self) -> float | None:
@@ -104,27 +92,16 @@ class SoilRollout:
         given = scene.rigid_motion == RigidMotion.PRESCRIBED
         kind = dataset.KINEMATIC_PARTICLE_ID if given else dataset.RIGID_PARTICLE_ID
         modes = [self.history[:, self.history.shape[1] - scene.n_modes :], self.modes]
-        nodes = np.concatenate([self.body, np.concatenate(modes)], axis=1).astype(np.float32)
-        arrays = {
-            'initial_positions': nodes[:H],
-            'predicted_rollout': nodes[H:],
-            'particle_types': np.repeat([kind, dataset.MODE_PARTICLE_ID], [n_rigid, scene.n_modes]),
-            'scene': np.array(json.dumps(scene.to_json())),
-            'status': np.array(str(self.status)),
-            'first_bad_frame': np.array(self.judgement.frame),
-            'first_bad_node': np.array(self.judgement.node),
-            'status_reason': np.array(self.reason),
-        }
-        true_force = None
+        nodes = np.concatenate([self.body, np.concatenate(modes)], axis=1)
+        true, true_force = None, None
         if self.truth is not None:
             true_modes, true_body, true_force = self.truth
-            truth = np.concatenate([true_body, true_modes], axis=1)[H:]
-            arrays['ground_truth_rollout'] = truth.astype(np.float32)
-        if self.force is not None:
-            arrays['predicted_forces'] = self.force
-        if true_force is not None:
-            arrays['initial_forces'] = true_force[:H].astype(np.float32)
-            arrays['ground_truth_forces'] = true_force[H:].astype(np.float32)
+            true = np.concatenate([true_body, true_modes], axis=1)[H:]
+        types = np.repeat([kind, dataset.MODE_PARTICLE_ID], [n_rigid, scene.n_modes])
+        arrays = file_arrays(
+            nodes[:H], nodes[H:], true, types, self.judgement, self.force, true_force
+        )
+        arrays['scene'] = np.array(json.dumps(scene.to_json()))
         if self.soil_truth is not None and self.soil_truth.space == PARTICLES:
             arrays['predicted_particles'] = self.sampled.astype(np.float32)
             arrays['particle_frames'] = self.soil_truth.frames
@@ -191,15 +168,8 @@ def roll_out(stepper, path, velocity=None, case=None, context=None) -> SoilRollo
 
 
 def of_recorded_run(group, rollout, scene, soils, name: str) -> SoilRollout:
-    """The rollout of a recorded run, with its truth.
-
-    Args:
-      group: one-run `RunGroup`.
-      rollout: its `rollout.Rollout`.
-      scene: of the model.
-      soils: of its frames, see `live.soil`.
-      name: for files and titles.
-    """
+    """The rollout of a recorded run, with its truth: of a one-run `RunGroup`, its
+    `rollout.Rollout`, the scene of the model, and soils of its frames, see `live.soil`."""
     n = group.n_rigid
     (judgement,) = rollout.judgements
     history = group.position[0, :H]

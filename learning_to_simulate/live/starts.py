@@ -131,14 +131,13 @@ def _add(found, case, group, run, pose):
             and np.array_equal(kept, other_kept)
             and np.abs(modes - other_modes).max() <= SAME_START_M
             and (context is None or np.array_equal(context, other_context))
-            and (len(body) < rigid_fit.MIN_POINTS or _same_body(other, body))
+            and (
+                len(body) < rigid_fit.MIN_POINTS
+                or rigid_fit.fit_rigid_motion(other, body).residual <= SAME_START_M
+            )
         ):
             return
     found.append((case, body, kept, pose, modes, context))
-
-
-def _same_body(one, other):
-    return rigid_fit.fit_rigid_motion(one, other).residual <= SAME_START_M
 
 
 def write(model_path: str, data_path: str, nodes: dict) -> dict[str, str]:
@@ -283,15 +282,10 @@ class Start:
 
 
 class RecordedStart:
-    """A start from recorded frames, whose body is given by its particles, not by a pose.
-
-    Args:
-      history: [H, V, D] positions, m; R rigid particles, then r modes; newest last.
-      context: [C], where the scene has one.
-
-    Raises:
-      ValueError: wrong shape or kind of values, or values that are not finite in float32.
-    """
+    """A start from recorded frames, whose body is given by its particles, not by a pose: history
+    [H, V, D], m, R rigid particles, then r modes, newest last; context [C], where the scene has
+    one. ValueError for wrong shapes or kinds of values, or values that are not finite in
+    float32."""
 
     velocity = None
 

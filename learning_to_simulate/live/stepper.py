@@ -10,6 +10,7 @@ is refused before anything changes; input unlike the training runs is used and f
 frame and in all that follow. After the first call nothing is compiled any more.
 """
 
+import contextlib
 import threading
 from typing import Any, NamedTuple
 
@@ -175,7 +176,7 @@ class Stepper:
           ValueError: something that cannot be used; the state stays as it was.
           RuntimeError: another thread is at work here.
         """
-        with _Held(self._lock):
+        with _held(self._lock):
             start = Start(self.scene, self.starts, pose, velocity, case, context)
             start.pose.setflags(write=False)
             return self._begin(start)
@@ -190,7 +191,7 @@ class Stepper:
         Raises:
           ValueError, RuntimeError: as `start`; values that are not finite in float32.
         """
-        with _Held(self._lock):
+        with _held(self._lock):
             shape = np.shape(history)
             n_rigid = max(shape[1] - self.scene.n_modes if len(shape) == 3 else 0, 0)
             start = RecordedStart(self.scene, n_rigid, history, context)
@@ -238,7 +239,7 @@ class Stepper:
             `ok`. The state stays as it was.
           RuntimeError: another thread is at work here.
         """
-        with _Held(self._lock):
+        with _held(self._lock):
             last, start, scene = self._newest(), self._start, self.scene
             if context is not None:
                 context = start.read_context(context)
@@ -308,7 +309,7 @@ class Stepper:
 
     @state.setter
     def state(self, state: StepperState) -> None:
-        with _Held(self._lock):
+        with _held(self._lock):
             self._start, self._last, self._count, self._body, of_step = state
             self._now, self._ranges = self._of_size(len(self._start.kept))
             self._now.state = of_step
@@ -330,15 +331,12 @@ class Stepper:
         return poses.placed(self._start.body, self._start.read(pose))
 
 
-class _Held:
+@contextlib.contextmanager
+def _held(lock):
     """A lock that is held for a call, or a message: two threads would mix their paths."""
-
-    def __init__(self, lock):
-        self._lock = lock
-
-    def __enter__(self):
-        if not self._lock.acquire(blocking=False):
-            raise RuntimeError('another thread is using this stepper; give each thread its own')
-
-    def __exit__(self, *_):
-        self._lock.release()
+    if not lock.acquire(blocking=False):
+        raise RuntimeError('another thread is using this stepper; give each thread its own')
+    try:
+        yield
+    finally:
+        lock.release()

@@ -5,13 +5,13 @@ from typing import Any
 import numpy as np
 import tensorflow as tf
 
-from learning_to_simulate.body_height import without_height
+from learning_to_simulate.axes import without_height
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.rollout import corrected_step
 from learning_to_simulate.scene import RigidMotion
 from learning_to_simulate.subspace import path_memory, subspace_model
 from learning_to_simulate.subspace.learned_simulator import SimulatorState
-from learning_to_simulate.subspace.rigid_body import Correction, KnownMotion
+from learning_to_simulate.subspace.rigid_body import KnownMotion, shape_of
 
 
 class TfStep:
@@ -44,11 +44,6 @@ class TfStep:
             spec((1, n_rigid, dim), tf.float64) if self._correct else None,
         )
 
-    @property
-    def traces(self) -> int:
-        """How often the frame was traced; 1 for the life of a back end."""
-        return self._frame.experimental_get_tracing_count()
-
     def reset(self, history, context) -> None:
         """Starts after the frames float64 [H, V, D], with a context float64 [C] or None."""
         layout = self._layout
@@ -60,7 +55,7 @@ class TfStep:
         )
         n = layout.n_rigid
         if self._correct:
-            self._shape = Correction(self._state.offset[:, :n], layout.origin[:n]).shape
+            self._shape = shape_of(self._state.offset[:, :n], layout.origin[:n])
         if layout.memory is not None:
             self._start = self._state.offset[:, n:]
             self._memory = layout.memory.start(history[:1, :n])
@@ -112,7 +107,4 @@ class TfStep:
         self._state, self._context, self._memory, self._shape, self._start = state
 
     def _compute(self, state, known, context, shape):
-        correction = None
-        if self._correct:
-            correction = Correction(None, self._layout.origin[: self._layout.n_rigid], shape)
-        return corrected_step(self._simulator, self._layout, state, known, context, correction)
+        return corrected_step(self._simulator, self._layout, state, known, context, shape)

@@ -69,18 +69,15 @@ def checked(difference: dict[str, float], tolerance: float) -> dict[str, float]:
 
 
 def over_frames(ours: Stepper, theirs: Stepper, group, limit: int | None = None) -> dict:
-    """Largest differences of two steppers over a recorded run, by particles of the body.
-
-    Args:
-      ours, theirs: two steppers of one model, by C and by TensorFlow.
-      group: one-run `RunGroup`.
-      limit: frames; None for all.
+    """Largest differences of two steppers of one model, by C and by TensorFlow, over a recorded
+    one-run `RunGroup`, by particles of the body.
 
     Returns:
-      `frames` until the first that left its bounds: beyond it nothing is compared; `position` (of
-      nodes and modes) and `particles` as shares of their motion, `force` as a share of the largest,
-      `particles_m`, and `same_status`: in how many frames kind, frame and node of the judgements
-      agree.
+      `frames` until the first that left its bounds: beyond it, or `limit`, nothing is compared;
+      `position` (of nodes and modes) and `particles` as shares of their motion, `force` as a share
+        of
+      the largest, `particles_m`, and `same_status`: in how many frames kind, frame and node of the
+      judgements agree.
     """
     truth, n = group.position[0], group.n_rigid
     for stepper in (ours, theirs):

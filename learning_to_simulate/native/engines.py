@@ -10,35 +10,40 @@ from learning_to_simulate.live.stepper import Stepper
 from learning_to_simulate.native import library
 from learning_to_simulate.native.binding import CSubspace
 
-BEST, C, TENSORFLOW = 'best', 'c', 'tensorflow'
+BEST, C, TENSORFLOW = KINDS = 'best', 'c', 'tensorflow'
 
 
-def stepper(model, starts=None, subspace=None, kind: str = BEST, **options) -> Stepper:
-    """A stepper of a model.
-
-    Args:
-      model: `subspace_model.Model`.
-      starts, subspace: of its model folder (`live.starts.read`).
-      kind: 'best', 'c' or 'tensorflow'.
-      **options: `n_rigid` and `outside` of `Stepper`.
-
-    Raises:
-      ValueError: as `Stepper`; an unknown kind; with 'c' a model that has no C form.
-      library.NoCompiler: with 'c', where there is no compiler.
-    """
-    if kind not in (BEST, C, TENSORFLOW):
-        raise ValueError(f'engine is {kind!r}, must be one of {(BEST, C, TENSORFLOW)}')
+def chosen(kind: str, by_c, by_tensorflow):
+    """`by_c()`, or `by_tensorflow(why)` with what keeps this machine from C ('' where nobody
+    asked); errors as of `stepper`."""
+    if kind not in KINDS:
+        raise ValueError(f'engine is {kind!r}, must be one of {KINDS}')
     why = ''
     if kind != TENSORFLOW:
         try:
-            return by_c(model, starts, subspace, **options)
+            return by_c()
         except (ValueError, library.NoCompiler) as error:
             if kind == C:
                 raise
             why = f' ({str(error).splitlines()[0]})'
-    found = Stepper(model, starts, subspace, **options)
-    found.engine += why
-    return found
+    return by_tensorflow(why)
+
+
+def stepper(model, starts=None, subspace=None, kind: str = BEST, **options) -> Stepper:
+    """A stepper of a `subspace_model.Model` with starts and subspace of `live.starts.read`; options
+    `n_rigid` and `outside` of `Stepper`, whose errors this raises.
+
+    Raises:
+      ValueError: an unknown kind (of 'best', 'c', 'tensorflow'); with 'c' a model without a C form.
+      library.NoCompiler: with 'c', where there is no compiler.
+    """
+
+    def by_tensorflow(why):
+        found = Stepper(model, starts, subspace, **options)
+        found.engine += why
+        return found
+
+    return chosen(kind, lambda: by_c(model, starts, subspace, **options), by_tensorflow)
 
 
 def by_c(model, starts, subspace, make=CSubspace.of, **options) -> Stepper:

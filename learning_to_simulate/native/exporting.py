@@ -1,6 +1,6 @@
-"""A trained model as a C project or an FMU, for `learning_to_simulate.export`."""
+"""A trained model as a C project or an FMU, for `learning_to_simulate.export`: compiled, and
+compared with TensorFlow over the first test run of its dataset."""
 
-import abc
 import os
 import tempfile
 
@@ -13,54 +13,28 @@ from learning_to_simulate.soil_field import runs
 from learning_to_simulate.soil_field.engine import TfEngine
 
 
-class _CForm(abc.ABC):
-    """A model on its way to C: compiled, and compared with TensorFlow over a recorded run."""
+class CModel:
+    """A model in a subspace, for bodies of the size of its first start.
 
-    _tools = 1  # of an FMU
+    Raises:
+      FileNotFoundError, ValueError: no model there, or one that has no C form.
+    """
 
-    def __init__(self, model_path, values):
-        self._name, self._values = project.symbol(model_path), values
-
-    @abc.abstractmethod
-    def _compared(self, library_path) -> dict:
-        """How the compiled project compares with TensorFlow over the first test run."""
+    def __init__(self, model_path: str, data_path: str):
+        self._paths, self._opened = (model_path, data_path), agreement.Opened.of(model_path)
+        self._name, self._values = project.symbol(model_path), self._opened.values()
 
     def describe(self) -> dict:
         """What a user of the exported model must know; JSON-able."""
-        return {'symbol': self._name, 'digest': self._values['digest']}
+        names = ('digest', 'n_rigid', 'n_start')
+        found = {'symbol': self._name} | {name: self._values[name] for name in names}
+        return found | {'scene': self._opened.model.simulator.scene.to_json()}
 
     def write(self, kind: str, folder: str) -> dict:
         """Writes the files of a format of `native.FORMATS`; returns how they compare. ValueError
         for C that does not compile, a dataset that the model does not fit, or outputs beyond the
         tolerance."""
-        with tempfile.TemporaryDirectory() as scratch:
-            project.write(scratch, self._name, self._values)
-            built = os.path.join(scratch, 'model.so')
-            try:
-                library.compile_sources(built, *library.parts_of(scratch))
-                compared = self._compared(built)
-            except library.NoCompiler as error:
-                compared = {'skipped': str(error)}
-        if kind == 'fmu':
-            path = os.path.join(folder, f'{self._name}.fmu')
-            fmu.write(path, self._name, self._values, self._tools)
-        else:
-            project.write(folder, self._name, self._values)
-        return {'compared': compared}
-
-
-class CModel(_CForm):
-    """A model in a subspace, for bodies of the size of its first start; the first test run of its
-    dataset is compared."""
-
-    def __init__(self, model_path: str, data_path: str):
-        self._paths, self._opened = (model_path, data_path), agreement.Opened.of(model_path)
-        super().__init__(model_path, self._opened.values())
-
-    def describe(self) -> dict:
-        sizes = {name: self._values[name] for name in ('n_rigid', 'n_start')}
-        scene = self._opened.model.simulator.scene
-        return super().describe() | {'scene': scene.to_json()} | sizes
+        return _write(kind, folder, self._name, self._values, self._compared)
 
     def _compared(self, library_path):
         pair = self._opened.steppers(library_path, self._name)
@@ -81,17 +55,22 @@ class CModel(_CForm):
         }
 
 
-class CSoilField(_CForm):
-    """A soil field; of an FMU, `tools` work on its terrain."""
+class CSoilField:
+    """A soil field; of an FMU, `tools` work on its terrain. As `CModel`."""
 
     def __init__(self, model_path: str, data_path: str, tools: int = 1):
         self._field = registry.of_folder(model_path).load_code().load(model_path)
         self._data_path, self._tools = data_path.split(',')[0], tools
-        super().__init__(model_path, soil_data.values(self._field))
+        self._name, self._values = project.symbol(model_path), soil_data.values(self._field)
 
     def describe(self) -> dict:
-        own = {'tool': self._field.networks.tool.name, 'n_member': self._values['n_member']}
-        return super().describe() | own
+        """See `CModel`."""
+        found = {name: self._values[name] for name in ('digest', 'n_member')}
+        return {'symbol': self._name, 'tool': self._field.networks.tool.name} | found
+
+    def write(self, kind: str, folder: str) -> dict:
+        """See `CModel`; ValueError for a number of tools that no FMU has, too."""
+        return _write(kind, folder, self._name, self._values, self._compared, self._tools)
 
     def _compared(self, library_path):
         run = runs.read(self._data_path, 'test')[0]
@@ -115,3 +94,19 @@ class CSoilField(_CForm):
             'tolerance': agreement.TOLERANCE,
             'heights_difference_m': float(np.abs(heights[0] - heights[1]).max()),
         }
+
+
+def _write(kind, folder, name, values, compare, tools=1):
+    with tempfile.TemporaryDirectory() as scratch:
+        project.write(scratch, name, values)
+        built = os.path.join(scratch, 'model.so')
+        try:
+            library.compile_sources(built, *library.parts_of(scratch))
+            compared = compare(built)
+        except library.NoCompiler as error:
+            compared = {'skipped': str(error)}
+    if kind == 'fmu':
+        fmu.write(os.path.join(folder, f'{name}.fmu'), name, values, tools)
+    else:
+        project.write(folder, name, values)
+    return {'compared': compared}

@@ -108,13 +108,9 @@ def description(name: str, values: dict, layout: Layout, sources) -> bytes:
 
 
 def write(path: str, name: str, values: dict, tools: int = 1) -> None:
-    """Writes the FMU; without a C compiler it holds sources only.
-
-    Args:
-      path: of the file.
-      name: of `project.symbol`.
-      values: of `model_data.values`, with at least one start, or of `soil_data.values`.
-      tools: number of tools on the terrain of a soil field.
+    """Writes the FMU of a model of a name (`project.symbol`), `model_data.values` or
+    `soil_data.values`, and a number of tools on a terrain; without a C compiler it holds sources
+    only.
 
     Raises:
       ValueError: no start, a model without a body, another number of tools, or sources that do not

@@ -100,7 +100,8 @@ def load() -> ctypes.CDLL:
     for path in sorted(glob.glob(os.path.join(SOURCES, '*', '*'))):
         with open(path, 'rb') as file:
             content.update(file.read())
-    path = os.path.join(_cache_folder(), f'lts-{content.hexdigest()[:16]}.so')
+    base = os.environ.get('XDG_CACHE_HOME') or os.path.expanduser('~/.cache')
+    path = os.path.join(base, 'learning_to_simulate', f'lts-{content.hexdigest()[:16]}.so')
     try:
         if not os.path.exists(path):
             try:
@@ -121,11 +122,6 @@ def load_once() -> ctypes.CDLL:
         path = os.path.join(folder, 'lts.so')
         compile_sources(path, *parts_of(SOURCES))
         return declared(ctypes.CDLL(path))
-
-
-def _cache_folder():
-    base = os.environ.get('XDG_CACHE_HOME') or os.path.expanduser('~/.cache')
-    return os.path.join(base, 'learning_to_simulate')
 
 
 def declared(library: ctypes.CDLL) -> ctypes.CDLL:
@@ -155,6 +151,12 @@ def structures() -> dict[str, type[ctypes.Structure]]:
         fields = [field for part in body.split(';') for field in _fields(part, found)]
         found[tag or typedef] = type(tag or typedef, (ctypes.Structure,), {'_fields_': fields})
     return found
+
+
+def tool_numbers(tool) -> list[float]:
+    """Of a tool of a soil field, in the order of `lts_soil_tool`."""
+    names = (name for name, _ in structures()['lts_soil_tool']._fields_)  # type: ignore[misc]
+    return [float(getattr(tool, name, 0.0)) for name in names]
 
 
 @functools.cache

@@ -6,8 +6,17 @@ repeats is the order of a frame's scalars.
 
 import numpy as np
 
-from learning_to_simulate.native import c_values, fold, library, tables
-from learning_to_simulate.soil_field import engine, network, passage, strips, sweep, terrain, tools
+from learning_to_simulate.native import c_values, fold, library
+from learning_to_simulate.soil_field import (
+    engine,
+    inputs,
+    network,
+    passage,
+    strips,
+    sweep,
+    terrain,
+    tools,
+)
 from learning_to_simulate.soil_field import field as soil_field
 
 # Status of what leaves its range, by its name; of all other numbers it is LTS_OUTSIDE_POSE.
@@ -115,7 +124,7 @@ def values(field) -> dict:
     }
     channels = {n: c[f'LTS_SOIL_{n.upper()}'] for n in (*sweep.CHANNELS, 'beside')}
     for name, table in tabled._asdict().items():
-        result[name] = tables.values(table, scalars, channels)
+        result[name] = table_of(table, scalars, channels)
     _check(result, c)
     return result | {'digest': c_values.digest(result)}
 
@@ -148,3 +157,41 @@ def _network(layers):
     """`lts_soil_network` of some layers, member by member."""
     found = [fold.dense(w[m], b[m]) for m in range(len(layers[0][0])) for w, b in layers]
     return {'n_layer': len(layers), 'layers': found}
+
+
+def table_of(table: inputs.Table, scalars, channels: dict[str, int]) -> dict:
+    """`lts_table` of a table of inputs; names of a frame's scalars in their order, and name of a
+    channel of the bins -> its number in C. ValueError for an operand that needs more values at once
+    than C has."""
+    c, ops, rows = library.constants(), [], []
+    for row in table.rows:
+        if inputs.depth(row.operand) > (limit := c['LTS_STACK']):
+            raise ValueError(f'{row.operand!r} needs more than the {limit} values of the C form')
+        for offset in row.at or (0.0,):
+            program = [
+                _op(*step, offset, scalars, channels) for step in inputs.program(row.operand)
+            ]
+            squash = c[f'LTS_SQUASH_{row.squash.upper()}']
+            rows.append(
+                {'first': len(ops), 'count': len(program), 'squash': squash, 'shift': row.shift,
+                 'scale': row.scale}
+            )  # fmt: skip
+            ops += program
+    return {'n_row': len(rows), 'rows': rows, 'ops': ops}
+
+
+def _op(kind, value, offset, scalars, channels):
+    """`lts_op` of one step of `inputs.program`."""
+    if kind != 'name':
+        return _coded(kind, 0, value if kind == 'number' else 0.0)
+    if value.startswith('at.'):
+        return _coded('at', channels[value[3:]], offset)
+    if value in channels:
+        return _coded('here', channels[value])
+    if value in scalars:
+        return _coded('scalar', scalars.index(value))
+    return _coded('rest', 'uyz'.index(value))
+
+
+def _coded(code, index=0, value=0.0):
+    return {'code': library.constants()[f'LTS_OP_{code.upper()}'], 'index': index, 'value': value}

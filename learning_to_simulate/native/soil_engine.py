@@ -8,29 +8,22 @@ import weakref
 
 import numpy as np
 
-from learning_to_simulate.native import c_values, library, soil_data
-from learning_to_simulate.native.engines import BEST, TENSORFLOW, C
+from learning_to_simulate.native import c_values, engines, library, soil_data
+from learning_to_simulate.native.binding import KERNELS
 from learning_to_simulate.rollout_status import OK, Judgement, RolloutStatus
 from learning_to_simulate.soil_field import engine, passage
 from learning_to_simulate.soil_field.place import Place, place_of
 
 _GROUNDS: weakref.WeakKeyDictionary = weakref.WeakKeyDictionary()  # terrain -> `lts_terrain`
-_TOOL = ('width', 'radius', 'length', 'bucket', 'plates', 'lugs', 'lug_height')
 
 
-def of(field, terrain, tool, members: int | None = None, kind: str = BEST):
+def of(field, terrain, tool, members: int | None = None, kind: str = engines.BEST):
     """The engine of a `SoilStepper`; arguments and errors as there."""
-    if kind not in (BEST, C, TENSORFLOW):
-        raise ValueError(f'engine is {kind!r}, must be one of {(BEST, C, TENSORFLOW)}')
-    why = ''
-    if kind != TENSORFLOW:
-        try:
-            return CEngine(Library.of(soil_data.values(field)), terrain, tool, members)
-        except (ValueError, library.NoCompiler) as error:
-            if kind == C:
-                raise
-            why = str(error).splitlines()[0]
-    return engine.TfEngine(field, terrain, tool, members, why)
+    return engines.chosen(
+        kind,
+        lambda: CEngine(Library.of(soil_data.values(field)), terrain, tool, members),
+        lambda why: engine.TfEngine(field, terrain, tool, members, why),
+    )
 
 
 class Library:
@@ -74,9 +67,7 @@ class _Instance:
     def __init__(self, loaded: Library, terrain, tool, members):
         self.loaded, self.terrain, self.tool, self._members = loaded, terrain, tool, members
         self._ground, c = ground_of(terrain), loaded.c
-        form = library.structures()['lts_soil_tool'](
-            *(float(getattr(tool, name, 0.0)) for name in _TOOL)
-        )
+        form = library.structures()['lts_soil_tool'](*library.tool_numbers(tool))
         given = loaded.model, ctypes.addressof(form), ctypes.addressof(self._ground)
         memory, soil = np.empty(max(c.lts_soil_size(*given), 1), np.uint8), ctypes.c_void_p()
         at = memory.ctypes.data, memory.nbytes, loaded.kernel
@@ -136,8 +127,7 @@ class CEngine(_Instance):
 
     def __init__(self, loaded: Library, terrain, tool, members=None):
         super().__init__(loaded, terrain, tool, members)
-        kinds = ('scalar', 'vector4', 'avx2', 'avx512')
-        self.name = f'C ({kinds[self.call("kernel")]})'
+        self.name = f'C ({KERNELS[self.call("kernel")]})'
         # Every step uses the same memory: an address costs a microsecond.
         self._pose, self._result = np.empty(7), library.structures()['lts_soil_result']()
         self._at = self._pose.ctypes.data, ctypes.addressof(self._result)

@@ -80,7 +80,7 @@ def ghost(run) -> dict:
         'cell': list(map(float, run.cell)),
         'bed': _packed(bed),
         'heightSteps': _packed(np.diff(steps, axis=0, prepend=0).astype('<i2')),
-        'tool': _numbers(tool),
+        'tool': library.tool_numbers(tool),
         'soil': [run.soil.friction_angle_deg, run.soil.density, run.soil.gravity],
     }
 
@@ -101,7 +101,7 @@ def write(path: str, name: str, field, run=None) -> None:
         'kind': kind.name,
         'model': name.removeprefix('lts_').replace('_', ' '),
         'digest': values['digest'][:12],
-        'tool': _numbers(kind()),
+        'tool': library.tool_numbers(kind()),
         'ghost': None if run is None else ghost(run),
     }
     words = {
@@ -120,12 +120,8 @@ def write(path: str, name: str, field, run=None) -> None:
 
 
 def export(model_path: str, output_path: str, data_path: str | None = None) -> None:
-    """Writes the page of a model, whole or not at all.
-
-    Args:
-      model_path: trained soil field.
-      output_path: of the HTML file.
-      data_path: dataset, whose first test run with the usual soil is played beside; None for none.
+    """Writes the page of a trained soil field, whole or not at all; the first test run of a dataset
+    (None: none) with the usual soil is played beside.
 
     Raises:
       ValueError, FileNotFoundError: a model that is no soil field, no compiler, no such dataset.
@@ -168,12 +164,6 @@ def run(values) -> None:
     export(values.model_path, path, values.data_path)
     if values.output_path is None:
         webbrowser.open(pathlib.Path(path).resolve().as_uri())
-
-
-def _numbers(tool):
-    """Of a tool, in the order of `lts_soil_tool`."""
-    names = ('width', 'radius', 'length', 'bucket', 'plates', 'lugs', 'lug_height')
-    return [float(getattr(tool, name, 0.0)) for name in names]
 
 
 def _packed(array):

@@ -26,15 +26,9 @@ _OPTIONS = {
 
 
 def write(path: str, kind: str, frames: Iterable[np.ndarray], frame_seconds: float) -> None:
-    """Writes a GIF or MP4. Until a GIF has its palette ffmpeg holds all frames, 2 MB each.
-
-    Args:
-        frames: uint8 [height, width, 3] each, both sizes even.
-        frame_seconds: time that a frame is shown.
-
-    Raises:
-        OSError: ffmpeg fails, or the file cannot be written.
-    """
+    """Writes a GIF or MP4 of frames uint8 [height, width, 3], both sizes even, that are shown for
+    some seconds each. Until a GIF has its palette ffmpeg holds all frames, 2 MB each. OSError:
+    ffmpeg fails, or the file cannot be written."""
     frames = iter(frames)
     first = next(frames)
     seconds = max(frame_seconds, _GIF_LEAST_SECONDS) if kind == 'gif' else frame_seconds

@@ -37,14 +37,9 @@ def draw(
     arrays: Mapping[str, np.ndarray], path: str, kind: str, name: str, step_stride: int = 8,
     progress: Callable = lambda frames, label: frames,
 ) -> None:  # fmt: skip
-    """Draws a rollout, the arrays of `TerrainRollout.arrays`, into a file.
-
-    Args:
-        kind: png (three moments), gif or mp4.
-        name: of the run, for the title.
-        step_stride: frames between those of a movie; there is one where there is a map.
-        progress: wraps the frames of a movie, called with them and a label.
-    """
+    """Draws a rollout of a name, the arrays of `TerrainRollout.arrays`, into a file: png (three
+    moments), gif or mp4, which has step_stride frames between those it shows, or one where there is
+    a map. `progress` wraps these, called with them and a label."""
     frames = arrays['height_frames']
     last = len(frames) - 1
     if kind == 'png':

@@ -8,11 +8,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from learning_to_simulate.live.poses import turned
 from learning_to_simulate.rollout_status import OK, Judgement, RolloutStatus, worse
 from learning_to_simulate.soil_field import sweep
 from learning_to_simulate.soil_field.field import APART
 from learning_to_simulate.soil_field.passage import Passage
-from learning_to_simulate.soil_field.place import Place, checked_pose, place_of, turned
+from learning_to_simulate.soil_field.place import Place, checked_pose, place_of
 
 # A pose that is farther than this from the one before is a jump, m/s and rad/s.
 FASTEST, FASTEST_TURN = 3.0, 20.0
@@ -88,7 +89,7 @@ class TfEngine:
 
     def __init__(self, field, terrain, tool, members, why: str = ''):
         self._field, self._terrain, self._tool, self._members = field, terrain, tool, members
-        self.name = f'TensorFlow ({why})' if why else 'TensorFlow'
+        self.name = f'TensorFlow{why}'
         self._units = tool.units(terrain.soil)
         self._passage: Any = None
         self._frame: Any = None

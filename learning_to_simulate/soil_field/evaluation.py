@@ -24,7 +24,6 @@ the loads, on the recorded terrain (`baselines`).
 """
 
 import functools
-import json
 from collections import Counter
 
 import numpy as np
@@ -33,6 +32,7 @@ from learning_to_simulate import error_bound, metrics
 from learning_to_simulate.baselines import earthmoving
 from learning_to_simulate.baselines import wheel_terramechanics as terramechanics
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
+from learning_to_simulate.evaluation import without_nan
 from learning_to_simulate.rollout_status import Judgement, RolloutStatus
 from learning_to_simulate.soil_field import samples, sweep
 from learning_to_simulate.soil_field.loaded import COORDINATES, LoadedTool
@@ -144,20 +144,19 @@ def _refused(run, name, reason):
 
 
 def of_rollout(rollout: TerrainRollout, run: Run) -> dict:
-    judgement = rollout.judgement
     found = load_errors(run, rollout.force[H:], rollout.torque[H:])
     found |= terrain_errors(run, rollout.heights) | soil_errors(run, rollout.particles)
     found |= _bound_figures(rollout, run)
     flagged = np.mean([status != RolloutStatus.OK for status in rollout.frame_status])
-    return found | {
-        'status': str(judgement.status),
-        'first_bad_frame': judgement.frame,
-        'first_bad_node': judgement.node,
-        'status_reason': judgement.reason,
-        'flagged_share': float(flagged),
-        'milliseconds_per_step': 1e3 * rollout.seconds / len(rollout),
-        'seconds_per_simulated_second': rollout.seconds / (len(rollout) * rollout.dt),
-    }
+    return (
+        found
+        | rollout.judgement.fields()
+        | {
+            'flagged_share': float(flagged),
+            'milliseconds_per_step': 1e3 * rollout.seconds / len(rollout),
+            'seconds_per_simulated_second': rollout.seconds / (len(rollout) * rollout.dt),
+        }
+    )
 
 
 def _bound_figures(rollout, run):
@@ -384,18 +383,16 @@ def _terramechanics(run, place):
     tool = run.tool
     lean = np.unwrap(place.turns(run.pose)[:, 0])
     u = place.local(run.pose[:, :3])[:, 0]
-    wheels = terramechanics.Wheels(
-        *(np.array([x]) for x in (tool.radius, tool.width)), -run.machine.external[None, :, 1],
-        *(np.array([x]) for x in (run.soil.gravity, run.soil.friction,
-                                  terramechanics.RIM_FRICTION)),
+    wheel = terramechanics.Wheel(
+        tool.radius, tool.width, -run.machine.external[:, 1], run.soil.gravity, run.soil.friction,
+        terramechanics.RIM_FRICTION,
     )  # fmt: skip
     motion = terramechanics.drive(
-        wheels, (u - u[0])[None], -tool.radius * (lean - lean[0])[None],
-        terramechanics.TerrainParameters(),
-    )  # fmt: skip
-    force = np.stack([motion.drawbar[0], motion.vertical[0], 0 * motion.drawbar[0]], axis=1)
+        wheel, u - u[0], -tool.radius * (lean - lean[0]), terramechanics.TerrainParameters()
+    )
+    force = np.stack([motion.drawbar, motion.vertical, 0 * motion.drawbar], axis=1)
     # A wheel that rolls on leans forward (-); the soil turns it back.
-    return force, motion.torque[0][:, None] * place.across
+    return force, motion.torque[:, None] * place.across
 
 
 def summarise(rows: dict[str, list[dict]]) -> dict:
@@ -426,8 +423,7 @@ def summarise(rows: dict[str, list[dict]]) -> dict:
         'status': dict(Counter(row['status'] for row in model.values())),
         'runs': rows,
     }  # fmt: skip
-    # JSON has no NaN: what a failed run lacks is null.
-    return json.loads(json.dumps(summary), parse_constant=lambda _: None)
+    return without_nan(summary)
 
 
 def _over(rows, statistic) -> dict:

@@ -9,7 +9,7 @@ import os
 import numpy as np
 import tensorflow as tf
 
-from learning_to_simulate import checkpoints, error_bound, known_shapes
+from learning_to_simulate import checkpoints, error_bound
 from learning_to_simulate.rollout_status import Ranges
 from learning_to_simulate.soil_field import network, sweep
 from learning_to_simulate.soil_field.passage import Passage
@@ -84,13 +84,9 @@ class SoilField:
         return self.ranges | CONDITIONS | {'cell': (0.0, self.networks.tool.largest_cell)}
 
     def judged(self, frames: sweep.Frame, conditions=None, in_air: bool = False) -> np.ndarray:
-        """[T, N] numbers that say whether frames are like those of training, see `judged_names`.
-
-        Args:
-          frames: of one tool.
-          conditions: [T, 7] of `CONDITIONS`; None where all are as they should be.
-          in_air: whether the tool is known to be clear of the soil, see `contact`.
-        """
+        """[T, N] numbers that say whether frames of one tool are like those of training, see
+        `judged_names`; `conditions` are [T, 7] of `CONDITIONS` (None: all as they should be),
+        `in_air` says that the tool is known to be clear of the soil, see `contact`."""
         columns = self.networks.scalars
         tip, height, radius = (
             frames.scalars[:, 0, columns[n]] for n in ('tip', 'height', 'radius')
@@ -157,13 +153,8 @@ class SoilField:
 
     def bound(self, force, spread, unit: float, members: int | None = None) -> float:
         """What the length of the error of a force keeps, N: in 95 % of the frames of 9 of 10 runs
-        that are like those of training. NaN where it is not known, as for single members.
-
-        Args:
-          force, spread: [3] N, the mean over members and their standard deviation.
-          unit: N to one N of the field.
-          members: that have answered.
-        """
+        that are like those of training; of force and spread [3], N, and what is one N of the field.
+        NaN where it is not known, as where not all members have answered."""
         if 'force' not in self.bounds or members not in (None, self.networks.members):
             return float('nan')
         signs = np.linalg.norm(spread) / unit, np.linalg.norm(force) / unit
@@ -200,10 +191,7 @@ def named(tool) -> int:
 def save(path: str, field: SoilField) -> None:
     """Writes a model folder, config.json last: it says that the rest is there. ValueError for
     weights that are not finite: nothing is written."""
-    arrays = {name: v.numpy() for name, v in _weights(field.networks).items()}
-    if bad := [name for name, v in arrays.items() if not np.isfinite(v).all()]:
-        raise ValueError(f'{path}: not saved, weights are not finite: {bad[:3]}')
-    files.write_npz(os.path.join(path, checkpoints.WEIGHTS_FILE), **arrays)
+    checkpoints.save_weights(path, _weights(field.networks))
     files.write_json(
         os.path.join(path, checkpoints.CONFIG_FILE),
         {
@@ -224,23 +212,21 @@ def load(path: str) -> SoilField:
     """Reads a model folder; FileNotFoundError: no model there; ValueError: a damaged one, or one of
     another method."""
     stored = checkpoints.read_config(path)
-    arrays = checkpoints.stored_weights(path)
     with checkpoints.refusing_wrong_fields(path):
         config = SoilFieldConfig(**stored['config'])
         values = stored['field']
         tool = TOOLS[values['tool']]
         ranges = {str(k): [float(x) for x in v] for k, v in values['ranges'].items()}
         hidden = {k: tuple(int(n) for n in values['hidden'][k]) for k in network.HIDDEN}
-        where = os.path.join(path, checkpoints.WEIGHTS_FILE)
-        with known_shapes.only((w.shape for w in arrays.values()), where):
-            networks = network.SoilNetworks(tool, config.members, config.seed, hidden)
         bounds = _bounds(values.get('bounds', {}))
-        found = SoilField(config, networks, ranges, bounds, stored.get('data', {}))
+
+    def make():
+        return network.SoilNetworks(tool, config.members, config.seed, hidden)
+
+    networks = checkpoints.filled(path, make, _weights)
+    found = SoilField(config, networks, ranges, bounds, stored.get('data', {}))
+    with checkpoints.refusing_wrong_fields(path):
         _ = found.limits
-    variables = _weights(networks)
-    checkpoints.check_weights(path, arrays, {n: tuple(v.shape) for n, v in variables.items()})
-    for name, variable in variables.items():
-        variable.assign(arrays[name])
     return found
 
 

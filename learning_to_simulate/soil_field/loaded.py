@@ -23,7 +23,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from learning_to_simulate.soil_field.place import UP, turned
+from learning_to_simulate.live.poses import turned
+from learning_to_simulate.soil_field.place import UP
 from learning_to_simulate.soil_field.stepper import DT, SoilFrame, SoilStepper
 
 COORDINATES = ('along', 'up', 'lean')

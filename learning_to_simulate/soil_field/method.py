@@ -79,19 +79,10 @@ def train(data_path, model_path, config, options) -> dict:
 
 
 class Saved:
-    """A training of several networks on disk, as `training.fit` saves it: nothing that was trained
-    is lost when it is killed.
-
-    Args:
-      parts: what is trained and on what, for JSON.
-      every: steps between saves.
-
-    Attributes:
-      stop: `StopSignals` that end it after the step at hand.
-
-    Raises:
-      ValueError: a damaged file, or one of another training.
-    """
+    """A training of several networks on disk, as `training.fit` saves it every so many steps:
+    nothing that was trained is lost when it is killed. `parts` say, for JSON, what is trained and
+    on what, `stop` are `StopSignals` that end it after the step at hand. ValueError for a damaged
+    file, or one of another training."""
 
     def __init__(self, model_path: str, parts: dict, every: int):
         self._path, self._every = os.path.join(model_path, TRAINING), every

@@ -6,10 +6,11 @@ tool looks, level), up, across. A turn or shift of the whole scene changes the p
 that is seen from it.
 """
 
-import math
 from typing import NamedTuple
 
 import numpy as np
+
+from learning_to_simulate.live.poses import rotation_matrix
 
 UP = np.array([0.0, 1.0, 0.0])
 # Along, up and across of a tool with the identity as its quaternion.
@@ -52,7 +53,7 @@ class Place(NamedTuple):
         atan2(-(L up)_along, (L up)_up), positive where the top lies behind; yaw is where it takes
         the axis across, atan2((L across)_along, (L across)_across), roll the rise of that.
         """
-        local = self.axes @ rotation(pose) @ UPRIGHT.T
+        local = self.axes @ rotation_matrix(pose[..., 3:]) @ UPRIGHT.T
         up, across = local[..., 1], local[..., 2]
         lean = np.arctan2(-up[..., 0], up[..., 1])
         yaw = np.arctan2(across[..., 0], across[..., 2])
@@ -64,7 +65,7 @@ def place_of(pose) -> Place:
     """The place of a tool at a pose [7] that goes where it looks; ValueError for a pose that is not
     finite, or a tool on its side, so that it looks nowhere."""
     pose = checked_pose(pose)
-    across = rotation(pose) @ UPRIGHT[2] * np.array([1.0, 0.0, 1.0])
+    across = rotation_matrix(pose[3:]) @ UPRIGHT[2] * np.array([1.0, 0.0, 1.0])
     length = np.linalg.norm(across)
     if length < 1e-3:
         raise ValueError(f'the tool lies on its side (quaternion {pose[3:]}): it looks nowhere')
@@ -81,27 +82,3 @@ def checked_pose(pose) -> np.ndarray:
     if abs(np.linalg.norm(pose[3:]) - 1.0) > 1e-3:
         raise ValueError(f'quaternion {pose[3:]} (w, x, y, z) must have length 1')
     return pose
-
-
-def rotation(pose) -> np.ndarray:
-    """Matrices [..., 3, 3] of the unit quaternions (w, x, y, z) of poses [..., 7]."""
-    w, x, y, z = np.moveaxis(np.asarray(pose, np.float64)[..., 3:], -1, 0)
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
-
-
-def turned(quaternion, rotation) -> np.ndarray:
-    """A quaternion [4] (w, x, y, z) after a further rotation by a vector [3], rad."""
-    x, y, z = (float(value) for value in rotation)  # numbers: arrays take five times as long
-    angle = math.sqrt(x * x + y * y + z * z)
-    share = math.sin(angle / 2) / max(angle, 1e-300)
-    w, x, y, z = math.cos(angle / 2), share * x, share * y, share * z
-    a, b, c, d = (float(value) for value in quaternion)
-    return np.array([
-        w * a - x * b - y * c - z * d, w * b + x * a + y * d - z * c,
-        w * c + y * a + z * b - x * d, w * d + z * a + x * c - y * b,
-    ])  # fmt: skip

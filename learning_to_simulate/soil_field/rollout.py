@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from learning_to_simulate.rollout_status import OK, Judgement, RolloutStatus
+from learning_to_simulate.rollout_status import OK, Judged, Judgement, RolloutStatus
 from learning_to_simulate.soil_field.runs import Run
 from learning_to_simulate.soil_field.stepper import DT, SoilFrame, SoilStepper
 from learning_to_simulate.soil_field.terrain import Terrain
@@ -20,7 +20,7 @@ _CIRCLE = np.linspace(0.0, 2.0 * np.pi, 49)
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
-class TerrainRollout:
+class TerrainRollout(Judged):
     """T frames of a tool on a terrain; in F of them, the first included, there is a map.
 
     Attributes:
@@ -59,20 +59,8 @@ class TerrainRollout:
     run: Run | None = None
     name: str = 'rollout'
 
-    def __repr__(self) -> str:
-        reason = f' ({self.reason})' if self.reason else ''
-        return f'<rollout {self.name!r}: {len(self)} frames, {self.status}{reason}>'
-
     def __len__(self) -> int:
         return len(self.pose)
-
-    @property
-    def status(self) -> RolloutStatus:
-        return self.judgement.status
-
-    @property
-    def reason(self) -> str:
-        return self.judgement.reason
 
     @property
     def time(self) -> np.ndarray:
@@ -100,10 +88,8 @@ class TerrainRollout:
             'dt': np.array(self.dt),
             'tool': np.array(json.dumps({'name': self.tool.name} | dataclasses.asdict(self.tool))),
             'soil': np.array(json.dumps(dataclasses.asdict(self.before.soil))),
-            'status': np.array(str(self.status)),
-            'first_bad_frame': np.array(self.judgement.frame),
-            'status_reason': np.array(self.reason),
         }
+        found |= {key: np.array(value) for key, value in self.judgement.fields().items()}
         if self.particles is not None:
             found['predicted_particles'] = self.particles
         if self.run is not None:

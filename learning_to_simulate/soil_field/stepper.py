@@ -103,12 +103,8 @@ class SoilStepper:
         return self._tracer.points()
 
     def anchor(self, pose, set_down: bool = False):
-        """From where particles are followed: `engine.TfAnchor`, or its twin in C.
-
-        Args:
-          pose: [7] of the tool.
-          set_down: whether the tool comes from above; else it stands in soil that it has not moved.
-        """
+        """From where particles are followed: `engine.TfAnchor`, or its twin in C, of the tool at a
+        pose [7]; `set_down` from above, else it stands in soil that it has not moved."""
         return self._engine.anchor(pose, set_down)
 
     def _traced(self):

@@ -15,19 +15,16 @@ from learning_to_simulate.soil_field import sweep
 from learning_to_simulate.soil_field.terrain import Terrain
 from learning_to_simulate.soil_field.tools import Tool
 
-SPACING, DEPTH = 0.02, 0.15  # of the lattice and how deep it reaches, m of the field
+# Of the lattice, m of the field, and its layers: it reaches 0.15 m deep.
+SPACING, LAYERS = 0.02, 8
 
 
 class Tracer:
     """Particles about a tool with an engine at a pose [7]; the terrain is not changed."""
 
-    def __init__(
-        self, engine, terrain: Terrain, tool: Tool, pose, spacing: float = SPACING,
-        depth: float = DEPTH,
-    ):  # fmt: skip
+    def __init__(self, engine, terrain: Terrain, tool: Tool, pose):
         self._engine, self._terrain, self._tool = engine, terrain, tool
-        self._spacing = spacing * tool.scale
-        self._layers = max(round(depth / spacing), 1)
+        self._spacing = SPACING * tool.scale
         self._columns = np.zeros((0, 2), np.int64)  # of the lattice that have particles
         self._rest = np.zeros((0, 3))
         self._pose = pose
@@ -60,8 +57,8 @@ class Tracer:
         fresh = np.array([c for c in columns.tolist() if tuple(c) not in known], np.int64)
         fresh = fresh.reshape(-1, 2)
         self._columns = columns
-        x, z = np.repeat(self._spacing * fresh.T, self._layers, axis=1)
-        below = np.tile(self._spacing * (np.arange(self._layers) + 0.5), len(fresh))
+        x, z = np.repeat(self._spacing * fresh.T, LAYERS, axis=1)
+        below = np.tile(self._spacing * (np.arange(LAYERS) + 0.5), len(fresh))
         added = np.stack([x, self._terrain.at(x, z) - below, z], axis=1)
         self._rest = np.concatenate([self._rest[is_near(self._rest)], added])
 

@@ -88,11 +88,11 @@ def fit(groups, subspace: Subspace, origin, scene) -> Contact | None:
     offsets = [g.position[:, :, g.n_rigid :] - origin for g in groups]
     axes = Axes.of_bodies(bodies, scene.up_axis)
     rows = np.concatenate([x[:, ::STRIDE].reshape(-1, *x.shape[2:]) for x in offsets])
-    surface = _Surface(subspace, origin, axes, bodies)
+    places, heights_of = _surface(subspace, origin, axes, bodies)
     inputs = rows.reshape(len(rows), -1)
     mean, std = inputs.mean(axis=0), inputs.std(axis=0)
     std = np.where(std > 0, std, np.inf)  # what never moves says nothing
-    heights = np.stack([surface.heights(x) for x in rows])
+    heights = np.stack([heights_of(x) for x in rows])
     if np.isnan(heights).any():  # a frame without soil where the bodies are
         return None
     # Ridge regression of the heights on the modes: (X^T X + lambda n I) W = X^T Y.
@@ -102,7 +102,7 @@ def fit(groups, subspace: Subspace, origin, scene) -> Contact | None:
         axes.axis,
         scene.up_axis,
         0.0,
-        surface.places.astype(np.float32),
+        places.astype(np.float32),
         (heights.mean(axis=0) - mean @ found).astype(np.float32),
         found.reshape(*rows.shape[1:], -1).astype(np.float32),
     )
@@ -119,30 +119,28 @@ def fit(groups, subspace: Subspace, origin, scene) -> Contact | None:
     return dataclasses.replace(reader, clear=clear)
 
 
-class _Surface:
-    """Heights [P] of the highest particles about places along the way, as wide as the bodies."""
+def _surface(subspace, origin, axes, bodies):
+    """Places [P] along the way, and a function of mode offsets: heights [P] of the highest
+    particles about them, as wide as the bodies; NaN where there are none at all."""
+    mean = np.broadcast_to(subspace.mean, (subspace.n_soil, len(origin[0])))
+    mean = mean + subspace.components @ origin
+    low = min(body[..., axes.across].min() for body in bodies)
+    high = max(body[..., axes.across].max() for body in bodies)
+    along = subspace.initial[:, axes.axis]
+    edges = np.linspace(along.min(), along.max(), PLACES + 1)
+    places = (edges[1:] + edges[:-1]) / 2
 
-    def __init__(self, subspace, origin, axes, bodies):
-        self._components = subspace.components
-        mean = np.broadcast_to(subspace.mean, (subspace.n_soil, len(origin[0])))
-        self._mean = mean + subspace.components @ origin
-        self._axis, self._up, self._across = axes.axis, axes.up, axes.across
-        across = axes.across
-        self._low = min(body[..., across].min() for body in bodies)
-        self._high = max(body[..., across].max() for body in bodies)
-        along = subspace.initial[:, axes.axis]
-        edges = np.linspace(along.min(), along.max(), PLACES + 1)
-        self._edges, self.places = edges, (edges[1:] + edges[:-1]) / 2
-
-    def heights(self, offsets) -> np.ndarray:
-        points = self._components @ offsets + self._mean
-        across = points[:, self._across]
-        points = points[(across >= self._low) & (across <= self._high)]
-        slab = np.searchsorted(self._edges, points[:, self._axis]) - 1
+    def heights(offsets):
+        points = subspace.components @ offsets + mean
+        across = points[:, axes.across]
+        points = points[(across >= low) & (across <= high)]
+        slab = np.searchsorted(edges, points[:, axes.axis]) - 1
         inside = (slab >= 0) & (slab < PLACES)
         top = np.full(PLACES, -np.inf)
-        np.maximum.at(top, slab[inside], points[inside, self._up])
+        np.maximum.at(top, slab[inside], points[inside, axes.up])
         there = np.isfinite(top)
         if not there.any():
             return np.full(PLACES, np.nan)
-        return np.interp(self.places, self.places[there], top[there])
+        return np.interp(places, places[there], top[there])
+
+    return places, heights

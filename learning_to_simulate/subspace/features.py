@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import tensorflow as tf
 
-from learning_to_simulate.body_height import height_of
+from learning_to_simulate.axes import height_of
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH
 from learning_to_simulate.scene import RigidMotion
 from learning_to_simulate.subspace import path_memory

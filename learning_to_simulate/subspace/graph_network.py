@@ -108,16 +108,9 @@ class _NodeBlock(snt.Module):
 
 
 class EncodeProcessDecode(snt.Module):
-    """Encoder, M residual interaction networks, node decoder.
-
-    Args:
-      latent_size: L.
-      hidden_layers: ReLU layers per MLP.
-      message_passing_steps: M.
-      output_size: values per node.
-      mean_aggregation: whether a node takes the mean of its messages (independent of the number of
-        rigid particles) instead of their sum (as published).
-    """
+    """Encoder, M residual interaction networks, node decoder; latent size L, ReLU layers per MLP,
+    values per node. A node takes the mean of its messages (independent of the number of rigid
+    particles), or their sum (as published)."""
 
     def __init__(
         self, latent_size, hidden_layers, message_passing_steps, output_size, mean_aggregation,

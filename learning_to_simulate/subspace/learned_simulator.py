@@ -12,7 +12,7 @@ import sonnet as snt
 import tensorflow as tf
 
 from learning_to_simulate import normalization
-from learning_to_simulate.body_height import up_vector
+from learning_to_simulate.axes import up_vector
 from learning_to_simulate.checkpoints import NUM_PARTICLE_TYPES
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH, TrainConfig
 from learning_to_simulate.connectivity_utils import Adjacency

@@ -51,14 +51,8 @@ class Memory(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class PathMemory:
-    """Reads the paths of a scene.
-
-    Attributes:
-      surface: height of the resting bed, m.
-      reach: smallest and largest place (m along the way) of the tool in the training runs.
-      dt: s per frame.
-      grid: bins of the memory.
-    """
+    """Reads the paths of a scene: height of the resting bed, m; smallest and largest place of the
+    tool in the training runs, m along the way; s per frame; bins of the memory."""
 
     axes: Axes
     surface: float

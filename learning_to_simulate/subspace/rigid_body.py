@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import tensorflow as tf
 
-from learning_to_simulate.body_height import without_height
+from learning_to_simulate.axes import without_height
 from learning_to_simulate.scene import RigidMotion, Scene
 
 
@@ -79,32 +79,16 @@ def rigid_correction(shape, position):
     return centroid + tf.einsum('bij,brj->bri', rotation, shape)
 
 
-class Correction:
-    """Keeps predicted bodies in the shape that they had at the start.
+def shape_of(offset, origin):
+    """Shape float64 [B, R, D], m, relative to its centroid, of bodies at offsets float32 [B, R, D]
+    from an origin float64 [R, D]."""
+    position = tf.cast(offset, tf.float64) + origin
+    return position - tf.reduce_mean(position, axis=1, keepdims=True)
 
-    Args:
-      offset: float32 [B, R, D] at the start, m; or None, and `shape` is given.
-      origin: float64 [R, D].
-      shape: of an earlier `Correction`.
 
-    Attributes:
-      shape: float64 [B, R, D], particles relative to their centroid, m.
-    """
-
-    def __init__(self, offset, origin, shape=None):
-        self._origin = origin
-        if shape is None:
-            position = tf.cast(offset, tf.float64) + origin
-            shape = position - tf.reduce_mean(position, axis=1, keepdims=True)
-        self.shape = shape
-
-    def __call__(self, before, after):
-        """Offset and velocity, float32 [B, R, D], of the body after the correction.
-
-        Args:
-          before, after: float32 [B, R, D] offsets before the frame and as predicted.
-        """
-        position = tf.cast(after, tf.float64) + self._origin
-        placed = rigid_correction(self.shape, position) - self._origin
-        velocity = tf.cast(placed - tf.cast(before, tf.float64), tf.float32)
-        return tf.cast(placed, tf.float32), velocity
+def corrected(shape, origin, before, after):
+    """Offset and velocity, float32 [B, R, D], of predicted bodies that keep a shape; of their
+    offsets before the frame and as predicted."""
+    placed = rigid_correction(shape, tf.cast(after, tf.float64) + origin) - origin
+    velocity = tf.cast(placed - tf.cast(before, tf.float64), tf.float32)
+    return tf.cast(placed, tf.float32), velocity

@@ -1,7 +1,6 @@
 """`Model`: a simulator in the subspace with its edges, and how one is read from its folder."""
 
 import dataclasses
-from typing import NamedTuple
 
 import numpy as np
 import tensorflow as tf
@@ -10,7 +9,7 @@ from learning_to_simulate import checkpoints
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH, TrainConfig
 from learning_to_simulate.connectivity_utils import build
 from learning_to_simulate.normalization import Statistics
-from learning_to_simulate.scene import MAX_RIGID, Scene, is_int, require
+from learning_to_simulate.scene import MAX_RIGID, is_int, require
 from learning_to_simulate.subspace import path_memory, whole_state
 from learning_to_simulate.subspace.learned_simulator import (
     Layout,
@@ -58,10 +57,10 @@ class Model:
         """Number of edges of every graph that was built, by its R."""
         return {str(n): layout.n_edge for n, layout in self._layouts.items()}
 
-    def fix_mode_edges(self, mode_mask: np.ndarray, source: str = 'learned gates') -> None:
-        """Takes other mode -> mode edges, bool [receiver, sender] [r, r], and where they come from;
+    def fix_mode_edges(self, mode_mask: np.ndarray) -> None:
+        """Takes the mode -> mode edges that gates have learned, bool [receiver, sender] [r, r];
         graphs are built anew."""
-        self.mode_mask, self.edge_source = mode_mask, source
+        self.mode_mask, self.edge_source = mode_mask, 'learned gates'
         sizes, self._layouts = list(self._layouts), {}
         for n_rigid in sizes:
             self.layout(n_rigid)
@@ -96,27 +95,10 @@ class Model:
         s.predict(state, known, tf.zeros([1, len(s.scene.context_names)]), layout)
 
 
-class Parts(NamedTuple):
-    """What `config.json` says of a model: the arguments of its simulator and of `Model`, and an R
-    that the model runs on."""
-
-    scene: Scene
-    config: TrainConfig
-    statistics: Statistics
-    particle_types: tuple[int, int]
-    n_rigid: int
-    mode_mask: np.ndarray | None
-    loaded_mask: np.ndarray | None
-    edge_source: str | None
-
-
-def read_parts(path: str) -> Parts:
-    """Reads and checks `config.json` of a model folder.
-
-    Raises:
-      FileNotFoundError: no model there.
-      ValueError: a field is missing, unknown, of another type, or fits no model.
-    """
+def read_parts(path: str) -> tuple[tuple, tuple, int]:
+    """What `config.json` says of a model: the arguments of its simulator (scene, config,
+    statistics, particle types) and of `Model` (masks and source of edges), and an R that the model
+    runs on; raises as `load`."""
     values = checkpoints.read_config(path)
     with checkpoints.refusing_wrong_fields(path):
         config, scene, types = checkpoints.settings_and_scene(values, TrainConfig)
@@ -126,19 +108,18 @@ def read_parts(path: str) -> Parts:
         require(is_int(n_rigid, 0, MAX_RIGID), 'n_rigid', n_rigid)
         require(isinstance(source, str | None), 'edge_source', source)
         masks = [_mask(values[key], key) for key in ('mode_mask', 'loaded_mask')]
-        return Parts(scene, config, statistics, types, n_rigid, *masks, source)  # type: ignore[call-arg]
+        return (scene, config, statistics, types), (*masks, source), n_rigid
 
 
 def load(path: str) -> Model:
     """Loads a model for evaluation; FileNotFoundError, ValueError: no model there, a field of
     config.json that is missing, unknown, of another type or fits no model, or weights of another.
     No variable is made that the weights do not hold."""
-    parts = read_parts(path)
+    of_simulator, edges, n_rigid = read_parts(path)
 
     def make():
-        simulator = SIMULATORS[parts.config.model](*parts[:4])
-        model = Model(simulator, parts.mode_mask, parts.loaded_mask, parts.edge_source)
-        model.create_variables(parts.n_rigid)
+        model = Model(SIMULATORS[of_simulator[1].model](*of_simulator), *edges)
+        model.create_variables(n_rigid)
         return model
 
     return checkpoints.filled(path, make)

@@ -52,15 +52,9 @@ def shift_of(space: Subspace, axis: int, across: int, distance, is_mirrored) -> 
 
 
 def with_copies(groups, space: Subspace, up: int, copies: int, seed: int) -> list:
-    """The groups, each followed by copies of its runs; `record` says which run a copy is of.
-
-    Args:
-      groups: list of `RunGroup` of a body with a known motion.
-      space: of their modes.
-      up: axis against gravity.
-      copies: of each run, as far as there is room for them.
-      seed: of the shifts.
-    """
+    """A list of `RunGroup` of a body with a known motion, each followed by `copies` of its runs, as
+    far as there is room for them; `record` says which run a copy is of. `space` is that of their
+    modes, `up` the axis against gravity, `seed` that of the shifts."""
     rng = np.random.Generator(np.random.Philox(key=seed, counter=[0, 0, _STREAM, 0]))
     frame = Axes.of_bodies([groups[0].position[:, :, : groups[0].n_rigid]], up)
     axis, across = frame.axis, 3 - frame.axis - up

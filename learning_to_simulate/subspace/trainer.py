@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import tensorflow as tf
 
-from learning_to_simulate.body_height import up_vector
+from learning_to_simulate.axes import up_vector
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.scene import RigidMotion
 from learning_to_simulate.subspace import noise_utils

@@ -150,7 +150,7 @@ def _train_steps(training, model_path, state, start, save_every, stop) -> dict:
                     if training.valid:
                         _, summary = training.evaluator.run(training.valid, 'valid')
                         _log_rollout(summary, i, bar)
-                    checkpoints.save_weights(model_path, trainer.simulator)
+                    checkpoints.save_weights(model_path, checkpoints.weights_of(trainer))
             if due and not first:
                 state.save(i + 1)
             if stop.number and not last:
@@ -159,7 +159,7 @@ def _train_steps(training, model_path, state, start, save_every, stop) -> dict:
     if start >= total:
         if not os.path.exists(os.path.join(model_path, checkpoints.WEIGHTS_FILE)):
             with trainer.averaging.in_place():
-                checkpoints.save_weights(model_path, trainer.simulator)
+                checkpoints.save_weights(model_path, checkpoints.weights_of(trainer))
         print(f'{model_path}: already trained to step {total}')
     print(f'trained {total} steps: {model_path}')
     return summary

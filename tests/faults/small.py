@@ -72,7 +72,7 @@ def write(folder: str) -> None:
     os.makedirs(path)
     begun = training(f'{folder}/data')
     loop.open_model_path(path, begun)
-    checkpoints.save_weights(path, begun.model.simulator)
+    checkpoints.save_weights(path, checkpoints.weights_of(begun.model))
 
 
 @functools.cache

@@ -37,7 +37,7 @@ def change(folder, part, **values):
 def folder(tmp_path):
     model, groups, _ = models.make(tmp_path / 'data')
     checkpoints.save_config(str(tmp_path), model, groups[0].n_rigid, {'path': 'x'})
-    checkpoints.save_weights(str(tmp_path), model.simulator)
+    checkpoints.save_weights(str(tmp_path), checkpoints.weights_of(model))
     return tmp_path
 
 

@@ -51,7 +51,7 @@ def trained(tmp_path_factory):
     path = folder / 'model'
     path.mkdir()
     checkpoints.save_config(str(path), model, 2, {})
-    checkpoints.save_weights(str(path), model.simulator)
+    checkpoints.save_weights(str(path), checkpoints.weights_of(model))
     return str(path), data
 
 

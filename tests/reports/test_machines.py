@@ -68,14 +68,13 @@ def test_a_wheel_on_the_formula_rests_where_its_load_is_in_balance():
     pytest.importorskip('mujoco')
     run = rolling(50.0, 0.0)
     found, _ = machines.simulate(run, 'formula', None)
-    values = (0.15, 0.1, 50.0, 9.81, run.soil.friction, terramechanics.RIM_FRICTION)
-    zero = np.zeros((1, 1))
-    motion = terramechanics.drive(
-        terramechanics.Wheels(*(np.array([x]) for x in values)), zero, zero,
-        terramechanics.TerrainParameters(),
-    )  # fmt: skip
+    wheel = terramechanics.Wheel(
+        0.15, 0.1, 50.0, 9.81, run.soil.friction, terramechanics.RIM_FRICTION
+    )
+    zero = np.zeros(1)
+    motion = terramechanics.drive(wheel, zero, zero, terramechanics.TerrainParameters())
     assert found[-1, 3] == pytest.approx(50.0, rel=1e-3)
-    assert 0.4 - found[-1, 1] == pytest.approx(motion.sinkage[0, 0], rel=0.02)
+    assert 0.4 - found[-1, 1] == pytest.approx(motion.sinkage[0], rel=0.02)
 
 
 def test_figures_of_known_motions():

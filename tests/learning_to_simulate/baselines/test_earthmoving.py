@@ -15,6 +15,7 @@ SOIL = BladeSoil(
     height=0.3,
 )  # fmt: skip
 
+
 @pytest.mark.parametrize('depth, rake_deg', [(0.02, 90.0), (0.05, 86.0), (0.1, 60.0), (0.1, 45.0)])
 def test_force_is_that_of_the_force_polygon(depth, rake_deg):
     """Twin: the solver's own check finds the same wedge from the equilibrium of forces."""

@@ -44,7 +44,7 @@ def make(tmp_path, motion, with_subspace=True, **more):
     path.mkdir(parents=True)
     model, groups, _ = models.make(data, motion=motion, **more)
     checkpoints.save_config(str(path), model, groups[0].n_rigid, {})
-    checkpoints.save_weights(str(path), model.simulator)
+    checkpoints.save_weights(str(path), checkpoints.weights_of(model))
     if with_subspace:
         synthetic.write_subspace(data)
     return str(path), str(data)

@@ -207,7 +207,8 @@ def test_training_learns_resumes_and_refuses(folders, tmp_path):
         np.testing.assert_array_equal(variable.numpy(), stored)
     fresh, _ = make(folder)
     losses = [
-        ParticleTrainer(m, opened.groups).one_step_errors(5)['loss'] for m in (opened.model, fresh)
+        ParticleTrainer(m, opened.groups[0]).one_step_errors(5)['loss']
+        for m in (opened.model, fresh)
     ]
     assert losses[0] < losses[1]
     with pytest.raises(ValueError, match='trained on particles of decoded .*: leave --raw_path'):

@@ -51,7 +51,7 @@ def saved(tmp_path_factory):
     os.makedirs(path)
     beside = live_starts.write(path, data, model.simulator.config.nodes)
     checkpoints.save_config(path, model, group.n_rigid, {}, beside)
-    checkpoints.save_weights(path, model.simulator)
+    checkpoints.save_weights(path, checkpoints.weights_of(model))
     return path, data
 
 

@@ -8,10 +8,10 @@ import types
 import numpy as np
 import pytest
 
+from learning_to_simulate.live.poses import turned
 from learning_to_simulate.native import library, soil_data, soil_engine
 from learning_to_simulate.native.binding import KERNELS
 from learning_to_simulate.soil_field.loaded import LoadedTool
-from learning_to_simulate.soil_field.place import turned
 from learning_to_simulate.soil_field.stepper import SoilStepper
 from learning_to_simulate.soil_field.terrain import Terrain
 from learning_to_simulate.soil_field.tools import Blade, Soil, Wheel

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from learning_to_simulate.live import poses
 from learning_to_simulate.soil_field import place
 from tests.learning_to_simulate.soil_field import scenes
 
@@ -20,7 +21,9 @@ def turned(pose, yaw, shift):
 def test_rotation_is_that_of_scipy():
     q = Rotation.random(20, random_state=1).as_quat()
     pose = np.concatenate([np.zeros((20, 3)), q[:, [3, 0, 1, 2]]], axis=1)
-    np.testing.assert_allclose(place.rotation(pose), Rotation.from_quat(q).as_matrix(), atol=1e-14)
+    np.testing.assert_allclose(
+        poses.rotation_matrix(pose[:, 3:]), Rotation.from_quat(q).as_matrix(), atol=1e-14
+    )
 
 
 @pytest.mark.parametrize('yaw', [0.0, 0.4, np.pi / 2, -2.5, 3.1])
@@ -52,7 +55,7 @@ def test_lean_yaw_and_roll_have_their_signs():
         wanted = 0.3 * np.eye(3)[i]
         np.testing.assert_allclose(here.turns(np.array([0, 0, 0, *q])), wanted, atol=1e-14)
     # The top of a leant tool lies behind; its front edge is what it turns about.
-    top = place.rotation(scenes.poses([[0.0, 0.0, 0.3]])[0]) @ place.UP
+    top = poses.rotation_matrix(scenes.poses([[0.0, 0.0, 0.3]])[0, 3:]) @ place.UP
     assert here.local(here.origin + top)[0] == pytest.approx(-np.sin(0.3))
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from learning_to_simulate.soil_field.stepper import SoilStepper
 from learning_to_simulate.soil_field.terrain import Terrain
-from learning_to_simulate.soil_field.tracer import DEPTH, SPACING, Tracer
+from learning_to_simulate.soil_field.tracer import LAYERS, SPACING, Tracer
 from tests.learning_to_simulate.soil_field import worlds
 from tests.learning_to_simulate.soil_field.scenes import poses
 
@@ -24,10 +24,10 @@ def tool():
 
 def test_they_fill_the_soil_about_the_tool(tool):
     points = tool.particles()
-    volume = 1.2 * (worlds.TOOL.width + 0.6) * DEPTH  # 0.45 behind to 0.75 ahead
+    volume = 1.2 * (worlds.TOOL.width + 0.6) * LAYERS * SPACING  # 0.45 behind to 0.75 ahead
     assert len(points) * SPACING**3 == pytest.approx(volume, rel=0.1)
     assert points[:, 1].max() == pytest.approx(-SPACING / 2)
-    assert points[:, 1].min() == pytest.approx(-DEPTH, abs=SPACING / 2)
+    assert points[:, 1].min() == pytest.approx(-(LAYERS - 0.5) * SPACING)
     assert len(np.unique(points, axis=0)) == len(points)
 
 

@@ -53,7 +53,7 @@ def test_fewer_modes_make_particles_and_are_loaded_again(tmp_path):
     folder = tmp_path / 'model'
     folder.mkdir()
     checkpoints.save_config(str(folder), model, group.n_rigid, {})
-    checkpoints.save_weights(str(folder), model.simulator)
+    checkpoints.save_weights(str(folder), checkpoints.weights_of(model))
     opened = registry.open_model(str(folder), str(tmp_path / 'data'), 'test')
     again, (test, *_) = opened.model, opened.groups
     assert again.simulator.scene.n_modes == 2 and test.position.shape[2] == group.position.shape[2]

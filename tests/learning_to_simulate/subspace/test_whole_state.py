@@ -69,7 +69,7 @@ def test_copies_need_a_subspace_and_join_the_training(driven):
 def test_exports_refuse_a_path_by_name(driven):
     made, group, _ = driven
     with pytest.raises(ValueError, match='no memory of the path'):
-        step_functions.StepFunctions(made.simulator, made.layout(group.n_rigid), None)
+        step_functions.StepFunctions(made.simulator, made.layout(group.n_rigid), None, group)
     with pytest.raises(ValueError, match="inputs .*'path', 'start'.* the C form knows"):
         model_data.refuse(made.simulator)
 
