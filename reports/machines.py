@@ -270,28 +270,22 @@ def table(path: str) -> str:
     wheels = [row for row in found if row['tool'] == 'wheel']
     lines = [_line(row['case'], [row]) for row in found if row['tool'] != 'wheel']
     lines.append(_line(f'{len(wheels)} wheels, means', wheels))
-    header = ('run', 'motion, rms mm', 'at the end, mm', 'force at the end, %',
-              'force, rel. L2', 'drift, mm/s', 'ripple, mm')  # fmt: skip
+    header = ('run', 'motion, rms mm', 'force at the end, %', 'drift, mm/s')
     return markdown.table(header, lines)
 
 
 def _line(title, rows):
-    def mean(ground, name, scale=1.0):
+    def mean(ground, name, scale):
         values = [scale * abs(row[ground][name]) for row in rows if row[ground]]
         return f'{np.mean(values):.2g}' if values else '-'
 
     def all_of(name, scale=1.0):
         return ' / '.join(mean(ground, name, scale) for ground in GROUNDS)
 
-    def at_rest(name):
-        found = [row['field'] for row in rows if row['field']]
-        values = [field[name] for field in found if field['drift_mm_s'] is not None]
-        return 'goes on' if not values else f'{max(values):.1g}'
-
-    return (
-        title, all_of('rms_mm'), all_of('end_mm'), all_of('end_force_error', 100),
-        all_of('force_relative_l2'), at_rest('drift_mm_s'), at_rest('ripple_mm'),
-    )  # fmt: skip
+    drifts = [row['field']['drift_mm_s'] for row in rows if row['field']]
+    at_rest = [drift for drift in drifts if drift is not None]
+    drift = f'{max(at_rest):.1g}' if at_rest else 'goes on'
+    return title, all_of('rms_mm'), all_of('end_force_error', 100), drift
 
 
 def coupling_table(path: str) -> str:

@@ -4,10 +4,16 @@ from collections.abc import Iterable
 
 from pca_tools.storage.markdown import cell, table
 
-__all__ = ['TRIVIAL', 'cell', 'span', 'table']
+__all__ = ['TRIVIAL', 'cell', 'mean', 'span', 'table']
 
 # How tables and pictures name the predictors that know nothing, by their keys in metrics.json.
 TRIVIAL = {'stay_still': 'persistence', 'constant_velocity': 'constant velocity'}
+
+
+def mean(values: Iterable[float | None]) -> str:
+    """The mean of the values there are; nothing without any."""
+    known = [float(v) for v in values if v is not None]
+    return cell(sum(known) / len(known)) if known else ''
 
 
 def span(values: Iterable[float | None], digits: int = 3) -> str:
@@ -18,5 +24,4 @@ def span(values: Iterable[float | None], digits: int = 3) -> str:
     low, high = min(known), max(known)
     if low == high:
         return cell(low, digits)
-    mean = sum(known) / len(known)
-    return f'{cell(mean, digits)} ({cell(low, digits)} to {cell(high, digits)})'
+    return f'{cell(sum(known) / len(known), digits)} ({cell(low, digits)} to {cell(high, digits)})'

@@ -312,7 +312,8 @@ def table(path: str) -> str:
         for rows in fields:
             row = rows[name]
             soil = row.get('soil_came')
-            line += [_outcome(row), row['force_over_weight'], '' if soil is None else 100 * soil]
+            came = '' if soil is None else f'{100 * soil:.0f}'.replace('-0', '0')
+            line += [_outcome(row), row['force_over_weight'], came]
         lines.append(
             line + [rows[name]['status'] if name in rows else '' for rows in nets.values()]
         )
@@ -320,7 +321,7 @@ def table(path: str) -> str:
     lines.append(['*C against Python*', '', twins[0], '', '', twins[1], '', *[''] * len(nets)])
     header = ['case']
     for tool in ('blade', 'wheel'):
-        header += [tool, 'its largest force over weight', 'soil that came, %']
+        header += [tool, 'force over weight', 'soil that came, %']
     return markdown.table([*header, *nets], lines)
 
 

@@ -184,7 +184,7 @@ def table(path: str) -> str:
     solver = found['solver_ms']
     lines: list[tuple] = [('solver', '', '', solver, solver, 1)]
     for row in found['rows']:
-        cells = (markdown.span(row[key]) for key in QUANTITIES)
+        cells = (markdown.mean(row[key]) for key in QUANTITIES)
         times = row['load_ms'], row['particles_ms']
         lines.append((row['name'], *cells, *times, solver / row['particles_ms']))
     header = (
@@ -207,7 +207,7 @@ def picked(path: str, *budgets: str) -> str:
         for clock, error in (('load_ms', 'force_relative_l2'), ('particles_ms', 'soil_mm')):
             within = [row for row in rows if row[error] and row[clock] <= float(budget)]
             best = min(within, key=lambda row: np.mean(row[error]), default=None)
-            line += ['', ''] if best is None else [best['name'], markdown.span(best[error])]
+            line += ['', ''] if best is None else [best['name'], markdown.mean(best[error])]
         lines.append(line)
     header = (
         'a frame may take, ms', 'for the force', tables.TITLES['force_relative_l2'],

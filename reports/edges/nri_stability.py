@@ -118,22 +118,20 @@ def compare(rows: list[dict], threshold: float) -> dict:
 
 def agreement(*paths: str) -> str:
     """How far the seeds of NRI agree: a row for each stored result."""
-    header = ('', 'epochs', 'hidden', 'test loss of the seeds', 'edges in the seeds',
-              'Jaccard (by chance)', 'same answer (by chance)', 'correlation of P(edge)',
+    header = ('', 'edges in the seeds', 'Jaccard (by chance)', 'same answer (by chance)',
               'in all seeds', 'in any seed')  # fmt: skip
     lines = []
     for path in paths:
         result = files.read_json(path)
-        found, settings = result['compared'], result['settings']
+        found = result['compared']
         beside_chance = [
             f'{markdown.cell(found[key]["mean"])} ({markdown.cell(found[f"{key}_by_chance"])})'
             for key in ('jaccard', 'agreement')
         ]
         lines.append(
-            (os.path.basename(path).removesuffix('_nri.json'), settings['epochs'],
-             settings['hidden'], markdown.span([row['test_loss'] for row in result['seeds']]),
-             markdown.span([row['edges'] for row in result['seeds']]), *beside_chance,
-             found['correlation']['mean'], found['in_all_seeds'], found['in_any_seed'])
+            (os.path.basename(path).removesuffix('_nri.json'),
+             markdown.mean([row['edges'] for row in result['seeds']]), *beside_chance,
+             found['in_all_seeds'], found['in_any_seed'])
         )  # fmt: skip
     return markdown.table(header, lines)
 

@@ -10,39 +10,31 @@ from reports.protocol import judge
 TITLES = {
     'soil_mm': 'soil, mm',
     'near_mm': 'surface near the tool, mm',
-    'surface_mm': 'whole surface, mm',
     'front_mm': 'front of the cut, mm',
     'heap_error_litre': 'heap, litres',
     'force_relative_l2': 'force, rel. L2',
     'force_rmse': 'force, N',
-    'force_peak_error': 'its peak, N',
     'drawbar_relative_l2': 'drawbar, rel. L2 (median)',
     'drawbar_rmse': 'drawbar, N',
-    'vertical_relative_l2': 'vertical, rel. L2 (median)',
-    'pitch_relative_l2': 'torque in plane, rel. L2 (median)',
+    'pitch_relative_l2': 'torque, rel. L2 (median)',
     'height_mm': 'height, mm',
 }
 # Of a part of a load a run may have next to nothing; then its relative error is a huge number.
-MEDIANS = 'drawbar_relative_l2', 'vertical_relative_l2', 'pitch_relative_l2'
+MEDIANS = 'drawbar_relative_l2', 'pitch_relative_l2'
+# What decides; here tables of methods also state the range of trainings.
 BOTH = 'soil_mm', 'force_relative_l2'
-# The columns of the page; forces along the way first, where these are what matters.
 COLUMNS = {
     'blade': ('soil_mm', 'near_mm', 'front_mm', 'heap_error_litre', 'force_relative_l2',
-              'drawbar_relative_l2', 'vertical_relative_l2', 'pitch_relative_l2', 'force_rmse',
-              'force_peak_error'),
-    'wheel': ('soil_mm', 'near_mm', 'height_mm', 'drawbar_relative_l2', 'force_relative_l2',
-              'vertical_relative_l2', 'pitch_relative_l2', 'drawbar_rmse', 'force_peak_error'),
+              'drawbar_relative_l2', 'force_rmse'),
+    'wheel': ('soil_mm', 'near_mm', 'height_mm', 'force_relative_l2', 'drawbar_relative_l2',
+              'pitch_relative_l2', 'drawbar_rmse'),
 }  # fmt: skip
-# Of these, by kind of run.
-OF_KINDS = (
-    'soil_mm', 'near_mm', 'force_relative_l2', 'drawbar_relative_l2', 'force_rmse', 'drawbar_rmse',
-)  # fmt: skip
+OF_KINDS = 'soil_mm', 'force_relative_l2', 'drawbar_relative_l2', 'force_rmse', 'drawbar_rmse'
 
 
 def methods(path: str) -> str:
     """All methods over all runs: mean errors (medians of parts of a load, and where one
-    was refused), lowest to highest over trainings; of soil and force also medians, and wins over
-    persistence; below them the truth's own errors."""
+    was refused); below them the truth's own errors."""
     document = judge.read(path)
     summary, columns = document['summary']['all'], COLUMNS[document['scene']]
     count = sum(not run['data'] for run in document['runs'])
@@ -59,11 +51,8 @@ def methods(path: str) -> str:
             + [f'{runs} runs'] * (runs < count)
             + [f'{refused} refused'] * bool(refused)
         )
-        cells = [_cell(found.get(key), key) for key in columns]
-        both = [found.get(key) for key in BOTH]
-        medians = [figure and markdown.span(figure['median']) for figure in both]
-        wins = [_wins(figure, method) for figure in both]
-        rows.append([method['name'] + (f' ({about})' if about else ''), *cells, *medians, *wins])
+        cells = [_cell(found.get(key), key, key in BOTH) for key in columns]
+        rows.append([method['name'] + (f' ({about})' if about else ''), *cells])
     own = document['truth']
     cells = [
         markdown.cell(float((np.median if k in MEDIANS else np.mean)(own[k])))
@@ -72,25 +61,18 @@ def methods(path: str) -> str:
     # Of the whole bed; near the tool it is larger.
     whole = markdown.cell(float(np.mean(own['surface_mm'])))
     cells[columns.index('near_mm')] = f'over {whole}'
-    rows.append([f"*truth's own error* ({len(own['cases'])} cases)", *cells, *4 * ['']])
-    header = ['method', *(TITLES[key] for key in columns), 'medians: soil', 'force']
-    header += ['wins: soil', 'force']
-    return markdown.table(header, rows)
+    rows.append([f"*truth's own error* ({len(own['cases'])} cases)", *cells])
+    return markdown.table(['method', *(TITLES[key] for key in columns)], rows)
 
 
-def _cell(figure, key=''):
+def _cell(figure, key, ranges):
+    """The figure of a method: mean over trainings, with their range if asked."""
     if figure is None:
         return ''
-    medians = markdown.span(figure['median'])
+    show = markdown.span if ranges else markdown.mean
     if key in MEDIANS:
-        return medians or 'failed'
-    return f'median {medians}' if None in figure['mean'] else markdown.span(figure['mean'])
-
-
-def _wins(figure, method):
-    if figure is None or method['name'] == 'persistence' or not figure['wins']:
-        return ''
-    return f'{markdown.span(figure["wins"])} of {figure["runs"]}'
+        return show(figure['median']) or 'failed'
+    return f'median {show(figure["median"])}' if None in figure['mean'] else show(figure['mean'])
 
 
 def kinds(path: str, name: str = 'soil field') -> str:
@@ -101,7 +83,7 @@ def kinds(path: str, name: str = 'soil field') -> str:
     for kind, of in document['summary'].items():
         if found := of.get(name):
             runs = max(figure['runs'] for figure in found.values())
-            rows.append([kind, runs, *(_cell(found.get(key), key) for key in columns)])
+            rows.append([kind, runs, *(_cell(found.get(key), key, False) for key in columns)])
     return markdown.table(['runs', 'count', *(TITLES[key] for key in columns)], rows)
 
 
@@ -120,7 +102,6 @@ def bounds(*paths: str) -> str:
                  if v is not None]
                 for s in seeds
             ]  # fmt: skip
-            sizes = [[n for n in s['errors']['bound_newton'] if n is not None] for s in seeds]
             ratios = [
                 s['error_flagged'] / s['error_inside']
                 if s.get('error_flagged') and s.get('error_inside') else None
@@ -129,15 +110,13 @@ def bounds(*paths: str) -> str:
             rows.append([
                 f'{document["scene"]}: {method["name"]}',
                 markdown.span([float(100 * np.mean(np.array(k) >= 0.95)) for k in kept]),
-                markdown.span([float(np.median(s)) for s in sizes]),
                 markdown.span([float(100 * np.mean(n)) for n in near]),
-                markdown.span([s['bounds']['near_mm'] for s in seeds]),
-                markdown.span([100 * s['flagged_frames'] for s in seeds]),
+                markdown.mean([100 * s['flagged_frames'] for s in seeds]),
                 markdown.span(ratios),
             ])  # fmt: skip
     header = (
-        'model', 'force: runs that keep it, %', 'its median, N', 'surface: runs that keep it, %',
-        'it at rest, mm', 'frames flagged, %', 'their error over that of others',
+        'model', 'runs that keep the bound of the force, %', 'of the surface, %',
+        'frames flagged, %', 'their error over that of others',
     )  # fmt: skip
     return markdown.table(header, rows)
 
@@ -160,7 +139,7 @@ def shipped(*paths: str) -> str:
         figures = document['summary']['all']
 
         def cells(name, figures=figures):
-            return [_cell(figures[name].get(q)) for q in BOTH]
+            return [_cell(figures[name].get(q), q, True) for q in BOTH]
 
         for name, (folder, purpose) in SHIPPED.items():
             if name in figures:
