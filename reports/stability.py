@@ -313,15 +313,15 @@ def table(path: str) -> str:
             row = rows[name]
             soil = row.get('soil_came')
             came = '' if soil is None else f'{100 * soil:.0f}'.replace('-0', '0')
-            line += [_outcome(row), row['force_over_weight'], came]
+            line += [_outcome(row), came]
         lines.append(
             line + [rows[name]['status'] if name in rows else '' for rows in nets.values()]
         )
     twins = [max(row['python_differs'] or 0.0 for row in rows.values()) for rows in fields]
-    lines.append(['*C against Python*', '', twins[0], '', '', twins[1], '', *[''] * len(nets)])
+    lines.append(['*C against Python*', twins[0], '', twins[1], ''])
     header = ['case']
     for tool in ('blade', 'wheel'):
-        header += [tool, 'force over weight', 'soil that came, %']
+        header += [tool, 'soil that came, %']
     return markdown.table([*header, *nets], lines)
 
 

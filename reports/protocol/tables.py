@@ -29,7 +29,7 @@ COLUMNS = {
     'wheel': ('soil_mm', 'near_mm', 'height_mm', 'force_relative_l2', 'drawbar_relative_l2',
               'pitch_relative_l2', 'drawbar_rmse'),
 }  # fmt: skip
-OF_KINDS = 'soil_mm', 'force_relative_l2', 'drawbar_relative_l2', 'force_rmse', 'drawbar_rmse'
+OF_KINDS = 'soil_mm', 'force_relative_l2', 'drawbar_relative_l2'
 
 
 def methods(path: str) -> str:
