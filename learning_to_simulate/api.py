@@ -268,17 +268,14 @@ class TrainedModel:
 
 
 class TerrainModel(TrainedModel):
-    """A trained model of a tool anywhere on a terrain: a soil field.
+    """A trained model of a tool anywhere on a terrain, `model` a `soil_field.field.SoilField`.
 
-        model = lts.load('my_soil_field')
-        ground = lts.Terrain.flat((12.0, 3.0), height=0.25)
-        live = model.stepper(ground, lts.Blade(width=0.4))
-        live.start(pose)
-        frame = live.step(next_pose)     # frame.force, frame.torque, frame.status
-        ground.heights                   # as the tool has left them
-
-    Attributes:
-      model: `soil_field.field.SoilField`.
+    model = lts.load('my_soil_field')
+    ground = lts.Terrain.flat((12.0, 3.0), height=0.25)
+    live = model.stepper(ground, lts.Blade(width=0.4))
+    live.start(pose)
+    frame = live.step(next_pose)     # frame.force, frame.torque, frame.status
+    ground.heights                   # as the tool has left them
     """
 
     def __repr__(self) -> str:

@@ -145,17 +145,10 @@ def _best(score, keep):
 
 
 def build(kind: str, scene: Scene, n_rigid: int, mode_mask=None, loaded_mask=None) -> Adjacency:
-    """The adjacency for a graph of R rigid particles and r modes.
-
-    Args:
-      kind: `TrainConfig.adjacency`; 'fully_connected' and 'none' need no mask.
-      scene, n_rigid: of the graph.
-      mode_mask: bool [r, r], completed by Algorithm 2; or None.
-      loaded_mask: bool [V, V] of a file, used as it is, if there is no `mode_mask`.
-
-    Raises:
-      ValueError: if a loaded mask does not fit V.
-    """
+    """The adjacency for a graph of R rigid particles and r modes of a scene, of a kind of
+    `TrainConfig.adjacency`: 'fully_connected' and 'none' need no mask, a `mode_mask` bool [r, r] is
+    completed by Algorithm 2, a `loaded_mask` bool [V, V] of a file is used as it is (ValueError
+    where it does not fit V)."""
     n_node = n_rigid + scene.n_modes
     if kind in ('fully_connected', 'none'):
         return Adjacency.from_mask(np.full((n_node, n_node), kind != 'none'))

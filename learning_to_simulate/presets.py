@@ -114,12 +114,9 @@ def setting_types() -> dict[str, type]:
 
 
 def make_config(preset: str, **overrides):
-    """The settings of a preset with single fields replaced; None means 'not given'.
-
-    Raises:
-      ValueError: unknown preset, model or field, a model that the preset is none of, or a value
-        outside its range.
-    """
+    """The settings of a preset with single fields replaced; None means 'not given'. ValueError for
+    an unknown preset, model or field, a model that the preset is none of, or a value outside its
+    range."""
     if preset not in PRESETS:
         raise ValueError(f'unknown preset {preset!r}; there are {", ".join(PRESETS)}')
     fields = {f.name for f in dataclasses.fields(PRESETS[preset])}

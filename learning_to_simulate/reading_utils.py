@@ -117,13 +117,9 @@ class RunGroup:
 def read_groups(
     folder: str, split: str, metadata: dict, rigid_particles: int = 0, modes: int = 0
 ) -> list[RunGroup]:
-    """Reads a split as groups of equal R and T, sorted by R.
-
-    Args:
-      folder, split, metadata: of the dataset.
-      rigid_particles: at most this many particles of each body with prescribed motion become
-        nodes, the lowest ones of the first frame; 0 keeps all.
-      modes: number of first modes that become nodes; 0 keeps all.
+    """Reads a split as groups of equal R and T, sorted by R; of each body with prescribed motion at
+    most `rigid_particles` become nodes, the lowest ones of the first frame, and of the modes the
+    first `modes`; 0 keeps all.
 
     Raises:
       FileNotFoundError, ValueError: as `pca_tools.dataset.read_split`; more modes than there are.

@@ -44,7 +44,6 @@ class RidgeModel:
     method: path_ridge.PathRidge
 
     def layout(self, n_rigid: int):
-        """No graph."""
         return SimpleNamespace(n_edge=0)
 
 
@@ -120,7 +119,6 @@ def train(data_path, model_path, config, options) -> dict:
 
 
 def _save(path, config, scene, method, groups, metadata, data):
-    """Writes the model folder, config.json last: it says that the rest is there."""
     usual = presets.PRESETS['pcg']
     statistics = normalization.compute_statistics(groups, metadata, scene, usual)
     values, arrays = method.parts()

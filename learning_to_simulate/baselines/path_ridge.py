@@ -435,7 +435,6 @@ class _Samples:
 
 
 def _on_valid(samples, valid, reader, grid):
-    """Every choice with its error on the valid runs."""
     truth = [{n: v[:, H:] for n, v in _targets(g, reader.scene).items()} for g in valid]
     seen = {name: [reader.read(g, name)[:, H - 1 :] for g in valid] for name in reader.sets}
     for kernel, inputs, gamma in grid:

@@ -122,7 +122,6 @@ def _outputs(concrete):
 
 
 def _rename(graph, names):
-    """Gives the tensors of an ONNX graph other names."""
     for value in (*graph.input, *graph.output):
         value.name = names.get(value.name, value.name)
     for node in graph.node:

@@ -97,7 +97,6 @@ def _exported(model_path, data_path, kind, n_tools):
 
 
 def _write_functions(exported, kind, folder):
-    """Writes functions of arrays; returns what they are and how they compare."""
     from learning_to_simulate.export import export_formats
 
     def rows(tensors):

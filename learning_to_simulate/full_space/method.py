@@ -39,7 +39,6 @@ class ParticleModel:
     edge_source: None = None
 
     def layout(self, n_rigid: int):
-        """A graph without lasting edges."""
         return SimpleNamespace(n_edge=0)
 
     def edge_counts(self) -> dict[str, int]:

@@ -207,12 +207,8 @@ class ParticleSimulator(snt.Module):
         return decoded[:, : self.dim], decoded[:, self.dim :] if self.scene.has_force else None
 
     def step(self, position, velocity, body_displacement, context, n_rigid):
-        """One frame on the host.
-
-        Args:
-          position, velocity, context, n_rigid: as `inputs`.
-          body_displacement: [R, D], true displacement of the body in the coming frame; of its
-            height nothing is used where that is predicted.
+        """One frame on the host; arguments of `inputs`, and the true displacement [R, D] of the
+        body in the coming frame, of whose height nothing is used where that is predicted.
 
         Returns:
           displacement of all particles [V, D] in m, force [D] in N or None, number of edges.

@@ -62,7 +62,6 @@ class ParticleTrainer(GradientTraining):
         return [divmod(int(pick), n_frame - H) for pick in picks]
 
     def _walk(self, rng):
-        """Standard normal draws for the noise of one window, or None where there is none."""
         if not self.config.noise_std:
             return None
         return rng.normal(size=(H - 1, *self._group.position.shape[2:]))

@@ -147,7 +147,6 @@ class Stepper:
         return [values.get('case') for values in self.starts.cases]
 
     def _of_size(self, n_rigid):
-        """The step and the ranges for bodies of R nodes, made once."""
         if n_rigid not in self._sizes:
             model, scene = self._model, self.scene
             step = self._make(model, n_rigid)

@@ -63,17 +63,14 @@ class TfStep:
                 self._memory = layout.memory.advance(self._memory, body[None])
 
     def propose(self, body, displacement, context=None):
-        """The next frame; the state stays as it is until `accept`.
+        """The next frame, positions float64 [V, D], m, and force float32 [F], N, or None; the state
+        stays as it is until `accept`. ValueError for a path that leads farther than its memory
+        reaches.
 
         Args:
           body: float64 [R, D], m, the body in the coming frame, or None where it is predicted.
           displacement: float64 [R, D], m, of the body into that frame; or None.
           context: float64 [C] from that frame on; None leaves it as it was.
-
-        Returns:
-          float64 [V, D] positions, m, and float32 [F] force, N, or None; ValueError for a path that
-            leads
-          farther than its memory reaches.
         """
         known = None
         if body is not None:

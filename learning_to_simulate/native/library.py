@@ -167,7 +167,6 @@ def constants() -> dict[str, int]:
 
 @functools.cache
 def _headers():
-    """Text of all headers without comments."""
     texts = []
     for name in _HEADERS:
         with open(os.path.join(SOURCES, name), encoding='utf-8') as file:

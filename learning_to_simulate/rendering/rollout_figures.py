@@ -218,7 +218,6 @@ def _draw_force(axes: Axes, models: Sequence[RolloutFrames]) -> None:
 
 
 def _draw_errors(axes: Axes, models: Sequence[RolloutFrames]) -> None:
-    """The error of soil by frame, of each model and of the trivial predictors."""
     first = models[0]
     for one, color in zip(models, _MODEL_COLORS):
         time = one.time[one.frames]
@@ -246,7 +245,6 @@ def _draw_errors(axes: Axes, models: Sequence[RolloutFrames]) -> None:
 
 
 def _legend_above(axes: Axes, columns: int) -> None:
-    """A legend of at most two lines that covers no curve."""
     axes.legend(
         loc='lower left', bbox_to_anchor=(0.0, 1.0), ncols=columns, handlelength=1.6,
         columnspacing=0.9, handletextpad=0.4, borderaxespad=0.2, labelspacing=0.25,
@@ -254,7 +252,6 @@ def _legend_above(axes: Axes, columns: int) -> None:
 
 
 def _remarks(frames: RolloutFrames, view: ViewSetup) -> str:
-    """How the picture was made, and what its reader should know."""
     parts = list(frames.notes)
     if frames.soil:
         count = len(frames.start)

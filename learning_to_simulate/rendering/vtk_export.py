@@ -21,15 +21,12 @@ from pca_tools.formats.vtp_files import write_collection, write_points
 
 
 def write_rollout(folder: str, frames: RolloutFrames, drawn: Iterable[int]) -> None:
-    """Writes a rollout as `<folder>/prediction.pvd`, its truth, if there is one, as `truth.pvd`.
+    """Writes a rollout as `<folder>/prediction.pvd`, its truth, if there is one, as `truth.pvd`,
+    whole or not at all.
 
     Each point (body first, then soil where there is a subspace) carries `displacement` since the
     first frame (m), `velocity` since the last shown frame (m/s), `particle_type` and, of the
-    prediction, `error` (m); each cloud carries `time` (s) and `force` (N). The folder is replaced
-    as a whole, once the frames `drawn` are written.
-
-    Raises:
-        OSError: a file cannot be written.
+    prediction, `error` (m); each cloud carries `time` (s) and `force` (N).
     """
 
     def fill(temporary: str) -> None:

@@ -74,12 +74,8 @@ def of_dataset(folders: str, cases: list[str]) -> list[Dig]:
 
 
 def read(path: str, tool: Tool, terrain: Terrain | None, surface: float, gravity: float) -> list:
-    """The digs of a CSV file.
-
-    Args:
-      tool: of all runs.
-      terrain: that each run begins on; None: flat ground at `surface`, m.
-      gravity: m/s2.
+    """The digs of a CSV file: runs of one tool, each begins on the terrain (None: flat ground at a
+    surface, m) under a gravity, m/s2.
 
     Raises:
       FileNotFoundError: there is no such file.

@@ -106,7 +106,6 @@ class SoilEvaluator:
 
 
 def _loaded(stepper, run: Run, machine: Machine):
-    """Steps a tool as the machine of a run does; it starts at rest in the first pose."""
     free = tuple(name for name, is_free in zip(COORDINATES, machine.free, strict=True) if is_free)
     tool = LoadedTool(
         stepper, machine.mass, machine.inertia or None, free, machine.stiffness, machine.damping

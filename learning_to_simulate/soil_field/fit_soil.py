@@ -276,7 +276,6 @@ def fit(rolled: Sequence[Rolled], density: float | None = None) -> Fit:
 
 
 def _told(found: Fit, low, high, likely) -> Fit:
-    """A fit without its numbers where the data cannot tell them."""
     angle, least, most = found.angle_deg, max(likely[0], low), min(likely[1], high)
     taught = f'the model was taught {low:.1f} to {high:.1f} deg'
     reasons = []

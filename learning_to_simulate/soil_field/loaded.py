@@ -105,7 +105,6 @@ class LoadedTool:
         damper = 2.0 * np.sqrt(rests * self._mass[0] * max(-given[1], 0.0) / UNLOADS)
 
         def damped(frame, height):
-            """D of (21)."""
             bears = max(float(frame.force[1]), 0.0)
             excess = (height - last[1]) / dt - self._slow
             return float(np.clip(-damper * excess, -bears, bears))
@@ -151,7 +150,6 @@ class LoadedTool:
         return np.array([u, y, place.turns(pose)[0]])
 
     def _pose(self, pose, there, target):
-        """A pose with other coordinates."""
         place, change = self._stepper.place, there - target
         found = np.array(pose, np.float64)
         found[:3] += change[0] * place.along + change[1] * UP

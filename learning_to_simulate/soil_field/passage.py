@@ -34,7 +34,7 @@ class Passage:
       rise         r = r' where r' < 0, else r' (sum |r'-| - sum over d of r) / sum r'+,     (20)
 
     r' of the network and sums over cells in sight; the factor lies within that of the
-    tool. What a chunk of cells changes in C as it leaves comes in over the next `grid.chunk` bins
+    tool. What a chunk of cells changes in C as it leaves comes in over the next `GRID.chunk` bins
     of way.
 
     Args:
@@ -46,7 +46,6 @@ class Passage:
       set_down: whether the tool comes from above; else it stands in soil that it has not moved.
       even: whether the terrain counts as level across the way, so that one strip as wide as the
         tool does; None: as long as it is.
-      grid: bins.
 
     Attributes:
       place, scale, strips: of the passage; from one strip it goes over to all of them where even
@@ -61,10 +60,10 @@ class Passage:
 
     def __init__(
         self, terrain: Terrain, tool: Tool, pose, rise: Callable | None = None,
-        set_down: bool = True, even: bool | None = None, grid: sweep.Grid = sweep.GRID,
+        set_down: bool = True, even: bool | None = None,
     ):  # fmt: skip
         self.terrain, self.tool, self.scale = terrain, tool, tool.scale
-        self._rise, self._grid = rise, grid
+        self._rise = rise
         self._cell = float(np.prod(terrain.cell)) / self.scale**2  # m2 of the field
         self.place = place_of(pose)
         self._values = tool.values(terrain.soil)
@@ -73,15 +72,15 @@ class Passage:
         self._pose = self.seen(pose)
         self._looks = False  # whether to look if the terrain goes on being even
         if even is None and tool.columns > 1:
-            self._looks = even = self._is_even(self._pose[0] + grid.offsets)
+            self._looks = even = self._is_even(self._pose[0] + sweep.GRID.offsets)
         self._take(strips_lib.strips_of(tool, bool(even)))
         first = self._rows(self._pose)
-        self.state = sweep.start(first, self._read, grid)
+        self.state = sweep.start(first, self._read)
         self.level = float(self.state.surface.mean())
         if set_down:
             surface, above = self.state.surface, first.copy()
             above[:, 1] = max(first[0, 1], surface.max() + self._radius[0] + SET_DOWN)
-            self.state = sweep.start(above, lambda u: surface, grid)
+            self.state = sweep.start(above, lambda u: surface)
             self._advance(first, 0.0, 1.0)
         # Of cells in sight, by their number: heights before the tool, and as it left them, m.
         self._cells, self._before, self._left = np.zeros(0, np.int64), np.zeros(0), np.zeros(0)
@@ -108,13 +107,13 @@ class Passage:
     def _take(self, strips):
         self.strips = strips
         # A sharper edge would fall between the bins.
-        radius = max(self.tool.radius / self.scale, self._grid.spacing / 2)
+        radius = max(self.tool.radius / self.scale, sweep.GRID.spacing / 2)
         self._radius = np.full(len(strips.centres), radius)
 
     def _look_ahead(self, origin):
         """Takes all strips from where the bins that come into sight are not even."""
-        low, high = self.state.origin[0] + self._grid.offsets[[0, -1]]
-        coming, half = origin + self._grid.offsets, self._grid.spacing / 2
+        low, high = self.state.origin[0] + sweep.GRID.offsets[[0, -1]]
+        coming, half = origin + sweep.GRID.offsets, sweep.GRID.spacing / 2
         if not self._is_even(coming[(coming < low - half) | (coming > high + half)]):
             self._take_all()
 
@@ -132,7 +131,7 @@ class Passage:
 
     def _advance(self, rows, turn, dt):
         turn = np.full(len(rows), turn)
-        self.state = sweep.advance(self.state, rows, turn, self._radius, dt, self._read, self._grid)
+        self.state = sweep.advance(self.state, rows, turn, self._radius, dt, self._read)
 
     def step(self, pose, dt: float) -> None:
         """Moves the tool in a straight line to a pose [7] within dt s; ValueError for a time that
@@ -142,7 +141,7 @@ class Passage:
         change = coming - self._pose
         change[2] = (change[2] + np.pi) % (2 * np.pi) - np.pi
         refuse_far(self.scale, change[0])
-        origin, to = self.state.origin[0], sweep.follow(self.state.origin[0], coming[0], self._grid)
+        origin, to = self.state.origin[0], sweep.follow(self.state.origin[0], coming[0])
         if to != origin:
             self.update()  # the last chance of cells that the bins leave
             if self._looks:
@@ -157,12 +156,12 @@ class Passage:
 
     @property
     def carried(self) -> np.ndarray:
-        return sweep.all_cut(self.state, self._grid) + self._owed_now
+        return sweep.all_cut(self.state) + self._owed_now
 
     @property
     def _owed_now(self):
         goal = -self._left_behind / (self.tool.width / self.scale) - self._dropped
-        way = (self.state.travelled[0] - self._owed_at) / (self._grid.chunk * self._grid.spacing)
+        way = (self.state.travelled[0] - self._owed_at) / (sweep.GRID.chunk * sweep.GRID.spacing)
         return self._owed + min(way, 1.0) * (goal - self._owed)
 
     def clone(self, terrain: Terrain, rise: Callable | None = None) -> 'Passage':
@@ -204,7 +203,7 @@ class Passage:
         box[i - i.min() + 1, k - k.min() + 1] = change[changed]
         first = t.corner + t.cell * [i.min() - 1, k.min() - 1]
         across = strips_lib.strips_of(self.tool)
-        bins = self.state.origin[0] + self._grid.offsets
+        bins = self.state.origin[0] + sweep.GRID.offsets
         bins = np.broadcast_to(bins, (len(across.centres), len(bins)))
         read = strips_lib.heights(Terrain(box, t.cell, first), self.place, self.scale, across, bins)
         if self._looks and np.ptp(read, axis=0).max() > EVEN:
@@ -245,7 +244,7 @@ class Passage:
         return self.place.world(self.scale * ends)[:, [0, 2]]
 
     def _sight(self):
-        return self.state.origin[0] + self._grid.offsets[[0, -1]]
+        return self.state.origin[0] + sweep.GRID.offsets[[0, -1]]
 
     @property
     def footprint(self) -> tuple[np.ndarray, float]:
@@ -286,13 +285,13 @@ class Passage:
         )
         scalars = np.concatenate(
             [
-                sweep.scalars(s, level, self._grid),
+                sweep.scalars(s, level),
                 np.broadcast_to(self._values, (len(level), len(self._values))),
                 of_passage,
             ],
             axis=1,
         )
-        bins = sweep.channels(s, level, self._grid)
+        bins = sweep.channels(s, level)
         return sweep.Frame(bins[None], scalars[None].astype(np.float32))
 
 

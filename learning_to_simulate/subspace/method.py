@@ -23,16 +23,9 @@ __all__ = ['load', 'make_model', 'open_model', 'train']
 
 
 def make_model(data_path, metadata, groups, config, rigid_motion=None) -> Model:
-    """A fresh model for the training runs of a dataset, its variables created.
-
-    Args:
-      groups: `RunGroup`s of the training split.
-      config: `TrainConfig`.
-      rigid_motion: override of the scene's, or None.
-
-    Raises:
-      ValueError: edges that do not fit the dataset, or a scene that the config cannot model.
-    """
+    """A fresh model for the training runs (`RunGroup`s) of a dataset, its variables created;
+    `rigid_motion` overrides the scene's. ValueError for edges that do not fit the dataset, or a
+    scene that the config cannot model."""
     scene = reading_utils.read_scene(data_path, metadata, groups, rigid_motion)
     driven = rigid_motion is None and scene.rigid_motion == RigidMotion.DRIVEN
     if config.is_published and driven:

@@ -85,7 +85,6 @@ def with_copies(groups, space: Subspace, up: int, copies: int, seed: int) -> lis
 
 
 def _shifted(group, shift, rest, axis, across, middle):
-    """A one-run group, shifted."""
     n = group.n_rigid
     body = group.position[:, :, :n].copy()
     body[..., axis] += shift.distance

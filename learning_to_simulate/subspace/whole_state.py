@@ -102,7 +102,6 @@ class StateMLP(snt.Module):
         self._output = snt.Linear(output_size, name='output')
 
     def __call__(self, history, state):
-        """As of `WholeStateSimulator`."""
         flat = tf.reshape(history, [history.shape[0], -1])
         hidden = self._hidden(tf.concat([flat, state], axis=-1))
         return self._output(self._norm(hidden))
@@ -178,7 +177,6 @@ class MotionMixer(snt.Module):
         self._output = snt.Linear(output_size, name='output')
 
     def __call__(self, history, state):
-        """As of `WholeStateSimulator`."""
         frames = [self._embed_history(history), self._embed_state(state)[:, None]]
         x = tf.concat(frames, axis=1)
         for block in self._blocks:
