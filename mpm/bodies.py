@@ -79,9 +79,7 @@ class Body(NamedTuple):
         return len(self.outline) == 1
 
 
-def make_blade(
-    width: float = BLADE_WIDTH, height: float = BLADE_HEIGHT, friction: float = BLADE_FRICTION
-) -> Body:
+def make_blade(width: float = BLADE_WIDTH, height: float = BLADE_HEIGHT) -> Body:
     """Builds the blade; its lean is part of its pose.
 
     The reference point is the middle of the round lower edge, half a thickness above its
@@ -108,7 +106,7 @@ def make_blade(
         for column in range(5)
     ]
     outline = np.array([(0.0, 0.0), (0.0, length)])
-    return Body(outline, radius, width / 2, friction, points=np.array(points))
+    return Body(outline, radius, width / 2, BLADE_FRICTION, points=np.array(points))
 
 
 def make_wheel(

@@ -267,14 +267,13 @@ def write_manifest(
 
 
 def check_manifest(
-    folder: str, names: Iterable[str] | None = None, manifest_name: str = MANIFEST_NAME
+    folder: str, names: Iterable[str] | None = None
 ) -> dict[str, dict[str, Any]] | None:
     """Holds the files of a folder against its manifest.
 
     Args:
         folder: the folder.
         names: only these files (each must be listed); None for all that the manifest lists.
-        manifest_name: of the manifest, for a folder that has several.
 
     Returns:
         file name -> its manifest entry, or None if the folder has no manifest (the authors').
@@ -282,7 +281,7 @@ def check_manifest(
     Raises:
         ValueError: a file is missing, unlisted, or differs in bytes or sha256.
     """
-    path = os.path.join(folder, manifest_name)
+    path = os.path.join(folder, MANIFEST_NAME)
     if not os.path.exists(path):
         return None
     manifest = read_json(path)

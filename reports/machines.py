@@ -213,7 +213,10 @@ def ripple(rows) -> float:
     return float(1e3 * np.sqrt(np.mean(np.sum(tail**2, axis=1))))
 
 
-def rest(field, mass: float, dt: float, implicit: bool, seconds: float = 2.0) -> dict:
+REST_S = 2.0  # of a plate on its weight
+
+
+def rest(field, mass: float, dt: float, implicit: bool) -> dict:
     """A plate of 0.4 m on a vertical slide: largest share by which the force leaves the weight in
     the last half second, drift there (mm/s), sinkage (mm); or why it was refused."""
     import mujoco
@@ -234,7 +237,7 @@ def rest(field, mass: float, dt: float, implicit: bool, seconds: float = 2.0) ->
     rows, refused = [], ''
     try:
         soil.start()
-        for _ in range(round(seconds / dt)):
+        for _ in range(round(REST_S / dt)):
             force = soil.step()['tool'].force[1]
             rows.append([d.qpos[0], force / (mass * 9.81) - 1])
     except ValueError as error:

@@ -16,12 +16,12 @@ def mean(values: Iterable[float | None]) -> str:
     return cell(sum(known) / len(known)) if known else ''
 
 
-def span(values: Iterable[float | None], digits: int = 3) -> str:
+def span(values: Iterable[float | None]) -> str:
     """'mean (smallest to largest)' of the values there are; one number where all are equal."""
     known = [float(v) for v in values if v is not None]
     if not known:
         return ''
     low, high = min(known), max(known)
     if low == high:
-        return cell(low, digits)
-    return f'{cell(sum(known) / len(known), digits)} ({cell(low, digits)} to {cell(high, digits)})'
+        return cell(low)
+    return f'{cell(sum(known) / len(known))} ({cell(low)} to {cell(high)})'
