@@ -13,6 +13,9 @@ the Jacobian of along, up and lean of the tools and J6 that of places and turns,
 is how far the change of the loads moves the tools within the step. Newton's method finds s with
 derivatives of w from proposed frames, kept from step to step by Broyden's update, and without what
 would push a tool on in the direction in which it goes.
+
+w holds the damping D of a tool that rests (`soil_field/loaded.py`). Its mass is M = 1 / C along up;
+it is pressed down by the load of w_0 less M a, with a its acceleration up under w_0.
 """
 
 import contextlib
@@ -25,6 +28,7 @@ import numpy as np
 from learning_to_simulate.live.poses import turned
 from learning_to_simulate.rollout_status import OK, Judgement, RolloutStatus, worse
 from learning_to_simulate.soil_field.engine import SoilFrame, refuse_step
+from learning_to_simulate.soil_field.loaded import Damping
 from learning_to_simulate.soil_field.place import UP
 from learning_to_simulate.soil_field.stepper import DT, SoilStepper
 from learning_to_simulate.soil_field.terrain import Terrain
@@ -74,10 +78,11 @@ class MujocoSoil:
       tools: name of a site or body -> `SoilStepper` of the tool there. Its frame is that of the
         tool: the origin in the reference point (edge of a blade, axle of a wheel), Z up and -X the
         way where the tool looks when it is upright.
-      implicit: False applies the loads of the step before; for comparison.
+      implicit: False applies the loads of the step before, and damps nothing; for comparison.
 
     Attributes:
-      frames: name -> newest `SoilFrame`, in axes of this project; {} before `start`.
+      frames: name -> newest `SoilFrame`, in axes of this project, with the damping of a tool that
+        rests in its force; {} before `start`.
       wrenches: float64 [n, 6] force and torque about the centre of mass of the tools' bodies, N
         and N m, Z up, as applied in the last step.
       rounds, gap: evaluations of (1) in the last step, and what was left of it, m.
@@ -118,6 +123,8 @@ class MujocoSoil:
         self.rounds, self.gap = 0, 0.0
         self._loads = np.zeros((len(tools), 6))  # about the places of the tools, axes of lts
         self._slopes: list[Any] = [None] * len(tools)
+        self._damping = [Damping() for _ in tools]
+        self._damped = np.zeros(len(tools))  # of `_loads`, N up
 
     def _check_time(self):
         if not 0 < self._model.opt.timestep <= DT * (1 + 1e-6):
@@ -156,6 +163,7 @@ class MujocoSoil:
         self._apply(np.zeros_like(self.wrenches))
         mujoco.mj_forward(self._model, self._data)
         self._slopes = [None] * len(self._names)
+        self._damping = [Damping() for _ in self._names]
         found = {}
         for name, stepper, spot in zip(self._names, self._steppers, self._spots, strict=True):
             with _naming(name):
@@ -193,7 +201,9 @@ class MujocoSoil:
             mujoco.mj_kinematics(m, d)
             mujoco.mj_comPos(m, d)
             levers = [self._lever(spot) for spot in self._spots]
-            loads = self._solved(state, levers, dt) if self._implicit else self._loads
+            loads, damped = self._loads, np.zeros(len(self._names))
+            if self._implicit:
+                loads, damped = self._solved(state, levers, dt)
             self._apply(_about_centres(loads, levers))
             mujoco.mj_step(m, d)
             mujoco.mj_kinematics(m, d)
@@ -205,8 +215,11 @@ class MujocoSoil:
             self.wrenches = wrenches
             mujoco.mj_forward(m, d)
             raise
-        for (name, stepper, pose), flies in zip(tools, airy, strict=True):
-            self.frames[name] = stepper.start(pose) if flies else stepper.step(pose, dt)
+        for j, ((name, stepper, pose), flies) in enumerate(zip(tools, airy, strict=True)):
+            rate = (pose[1] - stepper.frame.pose[1]) / dt
+            frame = stepper.start(pose) if flies else stepper.step(pose, dt)
+            self._damping[j].go_on(frame.force[1], rate, dt)
+            self.frames[name] = frame._replace(force=frame.force + damped[j] * UP)
         self._loads = loads if self._implicit else np.stack([*map(_load, self.frames.values())])
         return self.frames
 
@@ -245,7 +258,7 @@ class MujocoSoil:
         return pose[1] - tool.radius > terrain.heights[rows, columns].max() + CLEAR
 
     def _solved(self, state, levers, dt):
-        """Loads [n, 6] of (1)."""
+        """Loads [n, 6] of (1), and what of them is damping [n], N up."""
         m, d, n = self._model, self._data, len(self._names)
         wrenches = self.wrenches
         self._apply(_about_centres(self._loads, levers))
@@ -265,12 +278,15 @@ class MujocoSoil:
         answer = np.zeros((6 * n, m.nv))
         mujoco.mj_solveM(m, d, answer, whole.reshape(6 * n, m.nv))
         give = dt * dt * inner.reshape(3 * n, m.nv) @ answer.T
+        self._press(whole[:, 1], answer[1::6])
         mujoco.mj_kinematics(m, d)
         far = max(1.0, DT / dt)
         poses = [
             _ahead(stepper.frame.pose, self._pose(spot), far)
             for stepper, spot in zip(self._steppers, self._spots, strict=True)
         ]
+        rises = [self._pose(spot)[1] - stepper.frame.pose[1]
+                 for stepper, spot in zip(self._steppers, self._spots, strict=True)]  # fmt: skip
         mujoco.mj_setState(m, d, state, _STATE)
         self.wrenches = wrenches  # as `data` has them again
 
@@ -282,8 +298,16 @@ class MujocoSoil:
 
         before, scale = self._loads.ravel(), np.tile(ARM, n)
 
+        def damped(s, loads):
+            return np.array([
+                self._damping[j].force(loads[j, 1], (rises[j] + s[3 * j + 1]) / dt)
+                for j in range(n)
+            ])  # fmt: skip
+
         def gap_of(s, loads):
-            return s - give @ (loads.ravel() - before)
+            all_of = loads.copy()
+            all_of[:, 1] += damped(s, loads)
+            return s - give @ (all_of.ravel() - before)
 
         s = np.zeros(3 * n)
         try:
@@ -307,6 +331,11 @@ class MujocoSoil:
                     self._slopes[j] = self._differences(j, there, axes[j], loads[j])
                     fresh[j] = True
                 own = far * _resisting(self._slopes[j], axes[j])
+                damps, most = damped(s, loads)[j], loads[j, 1]
+                if abs(damps) < most:
+                    own[1, 1] -= self._damping[j].coefficient / dt
+                else:  # as much as it bears
+                    own[1] *= 1.0 + np.sign(damps)
                 slope[6 * j : 6 * j + 6, 3 * j : 3 * j + 3] = own
             way = -np.linalg.solve(np.eye(3 * n) - give @ slope, gap)
             share = 1.0
@@ -327,7 +356,28 @@ class MujocoSoil:
                 if all(fresh[j] or not loads[j].any() for j in range(n)):
                     break  # as near as it gets
                 self._slopes = [None] * n
-        return loads
+        damps = damped(s, loads)
+        loads[:, 1] += damps
+        return loads, damps
+
+    def _press(self, up, answer):
+        """Tells the damping of the tools what presses on them, from the Jacobian [n, nv] of their
+        heights and the answer [n, nv] of the machine to a unit force up on each."""
+        m, d = self._model, self._data
+        moment = np.zeros((m.nu, m.nv))
+        mujoco.mju_sparse2dense(
+            moment, d.actuator_moment, d.moment_rownnz, d.moment_rowadr, d.moment_colind
+        )
+        gives = np.maximum((up * answer).sum(axis=1), 1e-9)  # a tool that cannot rise is heavy
+        mass, way = 1.0 / gives, answer / gives[:, None]  # kg; of the joints, per m up
+        weights = self._loads[:, 1] - mass * (answer @ d.qfrc_smooth)
+        lengths = (way @ moment.T) ** 2
+        stiffness = way[:, m.jnt_dofadr] ** 2 @ m.jnt_stiffness - lengths @ m.actuator_biasprm[:, 1]
+        damping = way**2 @ m.dof_damping - lengths @ m.actuator_biasprm[:, 2]
+        held = np.abs(way @ d.qfrc_actuator)
+        rows = np.stack([mass, weights, np.maximum(stiffness, 0.0), np.maximum(damping, 0.0), held])
+        for one, row in zip(self._damping, rows.T.tolist(), strict=True):
+            one.press(*row)
 
     def _learn(self, change, way):
         """Broyden's update of slopes: loads changed by [n, 6] along a way [3 n]."""

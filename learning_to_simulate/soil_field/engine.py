@@ -78,7 +78,8 @@ def refuse_step(pose, last, dt, tool, terrain) -> None:
     if speed > FASTEST or turn > FASTEST_TURN:
         raise ValueError(
             f'the pose jumps: {speed:.3g} m/s and {turn:.3g} rad/s, at most {FASTEST} and '
-            f'{FASTEST_TURN} are taken; call start() anew'
+            f'{FASTEST_TURN} are taken: give poses between, or a longer dt; to set the tool down '
+            f'elsewhere call start()'
         )
     refuse_floor(pose, tool, terrain)
 

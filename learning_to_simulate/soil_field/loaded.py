@@ -12,13 +12,15 @@ stalls and comes back at any step, however light it is.
 The force F of a field knows hardly any time, so a tool that rests on it would swing. Soil does not
 throw a tool back: with what presses on it, W, it damps what is not slow,
 
-    F_soil = F + D,  D = -2 sqrt(M W / `UNLOADS`) (v' - u), within +-F up,                    (21)
+    F_soil = F + D,  D = -2 s sqrt(M W / `UNLOADS`) (v' - u), within +-F up,                  (21)
 
 critically for a stiffness of W over `UNLOADS`, with a velocity u that follows v' within `SLOW`. It
-damps no more than it bears, and what sinks, climbs or descends evenly feels nothing of it, nor does
-a tool that an actuator holds up. At the floor of the terrain a tool rests.
+damps no more than it bears, and what sinks, climbs or descends evenly feels nothing of it. Nor does
+a tool that something else holds: s falls from 1 to 0 where springs and dampers of the machine have
+a share `HELD` of that stiffness and damping. At the floor of the terrain a tool rests.
 """
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -33,9 +35,37 @@ TOLERANCE = np.array([1e-7, 1e-7, 1e-6])
 SWEEPS, HALVINGS = 12, 60
 # First widths of a bracket: m, m, rad.
 WIDTH = np.array([1e-5, 1e-5, 1e-4])
-UNLOADS, SLOW = 0.002, 0.2  # m, s; of (21)
+UNLOADS, SLOW, HELD = 0.002, 0.2, 0.25  # m, s, 1; of (21)
 # Of a tool that rests on the floor: m above it, and what bears it, N/m.
 ABOVE_FLOOR, FLOOR = 1e-6, 1e9
+
+
+class Damping:
+    """D of (21), of one tool; at first of one that nothing presses."""
+
+    def __init__(self):
+        self.coefficient = self._slow = 0.0  # N s/m; u, m/s
+
+    def press(self, mass, weight, stiffness=0.0, damping=0.0, held=0.0) -> None:
+        """Takes what presses a mass (kg) down in the coming step, N, and by what else it is held
+        up: stiffness (N/m), damping (N s/m), and a force (N) whose stiffness nobody knows."""
+        weight = max(float(weight), 0.0)
+        critical = 2.0 * math.sqrt(mass * weight / UNLOADS)
+        own = 0.0
+        if critical > 0:
+            own = (stiffness * UNLOADS + held) / weight + damping / critical
+        self.coefficient = critical * max(1.0 - own / HELD, 0.0)
+
+    def force(self, bears, rate) -> float:
+        """D, N, where the networks give a force up and the tool rises at a rate, m/s."""
+        most = max(float(bears), 0.0)
+        return min(max(-self.coefficient * (float(rate) - self._slow), -most), most)
+
+    def go_on(self, bears, rate, dt) -> None:
+        """After a step of dt s that ended so."""
+        self._slow += (float(rate) - self._slow) * dt / (SLOW + dt)
+        if not bears > 0:
+            self._slow = 0.0
 
 
 class LoadedTool:
@@ -76,7 +106,7 @@ class LoadedTool:
                 raise ValueError(f'{name} is {values}: three numbers of at least 0 were expected')
         self._springs = np.array([stiffness, damping], np.float64)
         self.velocity = np.zeros(3)
-        self._slow = 0.0  # u of (21)
+        self._damping = Damping()
 
     def step(self, pose, force=(0.0, 0.0, 0.0), torque: float = 0.0, dt: float = DT) -> SoilFrame:
         """Moves the tool by dt s; returns the frame of `SoilStepper.step`, whose force holds D of
@@ -101,13 +131,11 @@ class LoadedTool:
         coming[self._free] = (last + dt * self.velocity)[self._free]
         lowest = np.full(3, -np.inf)
         lowest[1] = stepper.terrain.floor + stepper.tool.radius + ABOVE_FLOOR
-        rests = 1 in self._free and not self._springs[:, 1].any()
-        damper = 2.0 * np.sqrt(rests * self._mass[0] * max(-given[1], 0.0) / UNLOADS)
+        if 1 in self._free:
+            self._damping.press(self._mass[0], -given[1], stiffness[1], damping[1])
 
         def damped(frame, height):
-            bears = max(float(frame.force[1]), 0.0)
-            excess = (height - last[1]) / dt - self._slow
-            return float(np.clip(-damper * excess, -bears, bears))
+            return self._damping.force(frame.force[1], (height - last[1]) / dt)
 
         def residual(axis, value):
             there = coming.copy()
@@ -138,9 +166,7 @@ class LoadedTool:
         frame = stepper.step(self._pose(pose, coming, target), dt)
         force = frame.force + damped(frame, coming[1]) * UP
         self.velocity = (coming - last) / dt
-        self._slow += (self.velocity[1] - self._slow) * dt / (SLOW + dt)
-        if not frame.force[1] > 0:
-            self._slow = 0.0
+        self._damping.go_on(frame.force[1], self.velocity[1], dt)
         return frame._replace(force=force)
 
     def _coordinates(self, pose):

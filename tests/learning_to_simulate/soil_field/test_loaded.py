@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from learning_to_simulate.soil_field import loaded
-from learning_to_simulate.soil_field.loaded import ABOVE_FLOOR, LoadedTool, root
+from learning_to_simulate.soil_field.loaded import ABOVE_FLOOR, Damping, LoadedTool, root
 from learning_to_simulate.soil_field.place import place_of
 from tests.learning_to_simulate.soil_field.scenes import poses
 
@@ -157,6 +157,24 @@ def test_what_moves_evenly_is_not_damped_and_the_force_is_that_of_the_balance():
         assert balance == pytest.approx(0.0, abs=0.1)
     assert tool.velocity[1] == pytest.approx(-speed, rel=1e-3)
     assert soil.coordinates[1] == pytest.approx(-sinks - speed * DT * 599, abs=1e-5)
+
+
+def test_what_the_machine_holds_is_not_damped():
+    damping = Damping()
+    damping.press(20.0, 196.2)
+    critical = 2.0 * np.sqrt(20.0 * 196.2 / 0.002)
+    assert damping.coefficient == pytest.approx(critical)
+    assert damping.force(150.0, 0.01) == pytest.approx(-0.01 * critical)
+    assert damping.force(150.0, 1.0) == -150.0 == -damping.force(150.0, -1.0)
+    assert damping.force(-3.0, 1.0) == 0.0
+    for share, held in (
+        (0.5, {'stiffness': 196.2 / 0.002 / 8}), (0.5, {'damping': critical / 8}),
+        (0.5, {'held': 196.2 / 8}), (0.0, {'stiffness': 1e5, 'damping': 1e3}), (0.0, {'held': 60}),
+    ):  # fmt: skip
+        damping.press(20.0, 196.2, **held)
+        assert damping.coefficient == pytest.approx(share * critical)
+    damping.press(20.0, -5.0)  # pulled up
+    assert damping.coefficient == 0.0
 
 
 def test_it_rests_on_the_floor_where_no_soil_bears_it():
