@@ -127,7 +127,6 @@ IMPORTS_WITHOUT = [
 # Tests of something that goes through several modules, or that are no Python.
 TESTS_OF_NO_ONE_MODULE = {
     'learning_to_simulate/native/test_c_faults.py',
-    'reports/test_cluster_trainings.py',
     'learning_to_simulate/subspace/test_changing_context.py',
     'learning_to_simulate/subspace/test_several_bodies.py',
     'learning_to_simulate/subspace/test_left_out.py',

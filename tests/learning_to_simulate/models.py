@@ -1,16 +1,29 @@
 """Models on synthetic data, shared by the tests of the simulator."""
 
+import contextlib
 import dataclasses
+import os
 
 import numpy as np
 import tensorflow as tf
 
-from learning_to_simulate import presets, reading_utils, rollout
+from learning_to_simulate import checkpoints, presets, reading_utils, rollout
+from learning_to_simulate.live import starts
 from learning_to_simulate.subspace import method
 from pca_tools import dataset
 from tests.learning_to_simulate import synthetic
 
 SMALL = {'latent_size': 16, 'batch_size': 4, 'mode_edges': 5}
+
+
+@contextlib.contextmanager
+def eagerly():
+    """A few steps take less time than their compilation, which is tested elsewhere."""
+    tf.config.run_functions_eagerly(True)
+    try:
+        yield
+    finally:
+        tf.config.run_functions_eagerly(False)
 
 
 def make(
@@ -48,6 +61,19 @@ def of_dataset(folder, config, rigid_motion=None):
     return method.make_model(str(folder), metadata, groups, config, rigid_motion), groups, metadata
 
 
+def saved(folder, preset='pcg', with_subspace=True, **case):
+    """Folders of an untrained model and of its data, of the options of `make`."""
+    path, data = f'{folder}/model', f'{folder}/data'
+    model, groups, _ = make(data, preset, **case)
+    if with_subspace:
+        synthetic.write_subspace(data)
+    os.makedirs(path)
+    beside = starts.write(path, data, model.simulator.config.nodes)
+    checkpoints.save_config(path, model, groups[0].n_rigid, {'path': data}, beside)
+    checkpoints.save_weights(path, checkpoints.weights_of(model))
+    return path, data
+
+
 def surface(groups):
     """Statistics of a surface that the body of the longest way is clear of at first only."""
     lowest = np.concatenate([g.position[..., : g.n_rigid, 1].min(axis=2) for g in groups])
@@ -75,11 +101,8 @@ def rolled(model, group):
     """`Rollout` of all runs of a group, eagerly, to save the compilation."""
     function = rollout.RolloutFunction(model.simulator, model.layout(group.n_rigid))
     function.is_warm = True
-    tf.config.run_functions_eagerly(True)
-    try:
+    with eagerly():
         return rollout.roll_out(function, group)
-    finally:
-        tf.config.run_functions_eagerly(False)
 
 
 def stepper(model, n_rigid, space=None, kind='tensorflow', **options):

@@ -1,11 +1,12 @@
 """A model folder that asks for a larger network than its weights: refused before it is built."""
 
 import json
+import pathlib
 
 import pytest
 import tensorflow as tf
 
-from learning_to_simulate import checkpoints, known_shapes
+from learning_to_simulate import known_shapes
 from learning_to_simulate.subspace import subspace_model
 from nri import model as nri_model
 from tests.learning_to_simulate import models
@@ -35,10 +36,7 @@ def change(folder, part, **values):
 
 @pytest.fixture
 def folder(tmp_path):
-    model, groups, _ = models.make(tmp_path / 'data')
-    checkpoints.save_config(str(tmp_path), model, groups[0].n_rigid, {'path': 'x'})
-    checkpoints.save_weights(str(tmp_path), checkpoints.weights_of(model))
-    return tmp_path
+    return pathlib.Path(models.saved(tmp_path)[0])
 
 
 @pytest.mark.parametrize(

@@ -4,8 +4,6 @@ import dataclasses
 import json
 import os
 import shutil
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -22,6 +20,7 @@ from pca_tools import files
 from pca_tools.subspace import Subspace
 from tests.learning_to_simulate import synthetic_rollout
 from tests.learning_to_simulate.synthetic_rollout import DT, N_GIVEN, N_RIGID
+from tests.pca_tools.commands import run_command
 
 N_FRAMES = 60
 N_SHOWN = N_FRAMES - N_GIVEN
@@ -276,20 +275,6 @@ def test_a_second_model_is_drawn_beside_the_first(made, frames, view, change):
     assert any('other' in axes.get_ylabel() for axes in both.axes)
 
 
-def test_long_names_stay_beside_their_rows(frames, view):
-    frames = dataclasses.replace(frames, label='a_model_of_a_long_name')
-    # The bin of the wheel: low, and its ticks have two decimals.
-    flat = dataclasses.replace(view, limits=np.array([[0.08, 0.52], [0.09, 0.28]]))
-    figure = strip(frames, flat, beside=[frames])
-    figure.draw_without_rendering()
-    labels = [a.yaxis.label for a in figure.axes if 'a_model' in a.get_ylabel()]
-    boxes = [label.get_window_extent(figure.canvas.get_renderer()) for label in labels]
-    assert len(boxes) == 3  # two predictions and the error
-    for above, below in zip(boxes, boxes[1:]):
-        assert below.y1 < above.y0
-    assert min(box.x0 for box in boxes) > 0
-
-
 @pytest.mark.parametrize(
     'plane, left_out',
     [('xz', ''), ('yx', ''), ('xy', 'subspace'), ('zy', 'force'), ('xy', 'body'), ('xy', 'motion')],
@@ -348,17 +333,14 @@ def test_movies_have_the_frames_they_were_given(tmp_path):
 
 
 def test_command(made, tmp_path):
-    def run(*arguments):
-        return subprocess.run(
-            [sys.executable, '-m', 'learning_to_simulate.render_rollout', *arguments],
-            capture_output=True, text=True, check=False,
-        )  # fmt: skip
-
-    done = run(f'--rollout_path={tmp_path}/none.npz', f'--output_path={tmp_path}/out')
+    command = 'learning_to_simulate.render_rollout'
+    done = run_command(
+        command, f'--rollout_path={tmp_path}/none.npz', f'--output_path={tmp_path}/out'
+    )
     assert (done.returncode, done.stderr) == (1, f'error: {tmp_path}/none.npz: no such file\n')
     assert not os.listdir(tmp_path)
-    done = run(
-        f'--rollout_path={made[0]}', f'--data_path={made[1]}', f'--output_path={tmp_path}',
+    done = run_command(
+        command, f'--rollout_path={made[0]}', f'--data_path={made[1]}', f'--output_path={tmp_path}',
         '--step_stride=20', '--color_by=error', '--format=png,gif,mp4,vtp',
     )  # fmt: skip
     assert done.returncode == 0, done.stderr

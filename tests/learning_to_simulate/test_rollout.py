@@ -54,7 +54,7 @@ def test_known_motion_is_followed_exactly(tmp_path):
     """Prescribed: the body is where the record says. Driven: all but its height is."""
     for motion in ('prescribed', 'driven'):
         model, (group,), _ = models.make(tmp_path / motion, motion=motion)
-        result = rollout.roll_out(rollout.RolloutFunction(model.simulator, model.layout(4)), group)
+        result = models.rolled(model, group)
         got, truth = result.position[:, :, :4], group.position[:, 6:, :4]
         if motion == 'driven':
             got, truth = (x - x.mean(axis=2, keepdims=True) * [0, 1, 0] for x in (got, truth))
@@ -83,6 +83,6 @@ def test_blow_up_is_reported_with_its_first_frame(tmp_path):
     for v in model.simulator.trainable_variables:
         if 'decoder/linear_2/b' in v.name:
             v.assign(v + 1e38)
-    result = rollout.roll_out(rollout.RolloutFunction(model.simulator, model.layout(4)), group)
+    result = models.rolled(model, group)
     assert set(result.status) == {rollout.RolloutStatus.NON_FINITE}
     assert all(judgement.frame >= 6 for judgement in result.judgements)

@@ -142,7 +142,8 @@ def test_status_reaches_metrics_table_and_rollout_files(made, tmp_path):
     model, (group,), metadata = made
     evaluator = evaluation.Evaluator(model, metadata)
     outside = changed(made, context=set_item((0, 1), 60.0))
-    results, summary = evaluator.run([outside], 'test')
+    with models.eagerly():
+        results, summary = evaluator.run([outside], 'test')
     evaluation.save_rollouts(str(tmp_path), 'test', results, summary, metadata)
     row = json.loads((tmp_path / 'metrics.json').read_text())['runs']['model'][0]
     arrays = files.read_npz(str(tmp_path / 'rollout_test_0.npz'))

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-import tensorflow as tf
 
 from learning_to_simulate import evaluation, metrics, reading_utils, soil_truth
 from learning_to_simulate.live import paths
@@ -78,11 +77,8 @@ def test_every_printout_has_the_same_number(tmp_path, sampled):
         synthetic.write_particles(data)
     groups = reading_utils.read_groups(data, 'test', metadata)
     evaluator = evaluation.Evaluator(model, metadata)
-    tf.config.run_functions_eagerly(True)
-    try:
+    with models.eagerly():
         results, summary = evaluator.run(groups, 'test')
-    finally:
-        tf.config.run_functions_eagerly(False)
     out = str(tmp_path / 'out')
     evaluation.save_rollouts(out, 'test', results, summary, metadata, 64 * 'a')
     numbers = [row['soil_mm'] for row in summary['runs']['model']]

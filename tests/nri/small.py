@@ -1,25 +1,13 @@
 """Small springs data and models, for the tests of NRI."""
 
-import contextlib
 
 import numpy as np
-import tensorflow as tf
 
 from nri import data, particle_systems, simulate
 from nri.config import NriConfig
 from nri.model import NriModel
 
 TINY = {'hidden': 8, 'window': 15, 'segment': 2, 'batch_size': 16}
-
-
-@contextlib.contextmanager
-def eagerly():
-    """A few steps take less time than their compilation, which is tested elsewhere."""
-    tf.config.run_functions_eagerly(True)
-    try:
-        yield
-    finally:
-        tf.config.run_functions_eagerly(False)
 
 
 def springs(n_run=32, n_objects=3, seed=0, split='train', n_frame=15):

@@ -1,6 +1,5 @@
 """Config, probabilities, and models on disk."""
 
-import dataclasses
 
 import numpy as np
 import pytest
@@ -138,9 +137,3 @@ def test_mutual_types_are_one_for_both_directions(monkeypatch):
     assert float(values['kl']) == pytest.approx(0.5 * kl, rel=1e-4)
     np.testing.assert_array_equal(seen[0], seen[0][:, back])
     assert (seen[0][0, 0] != seen[0][0, 1]).all()
-
-
-def test_config_has_a_value_of_its_type_in_every_field():
-    for field in dataclasses.fields(NriConfig):
-        value = getattr(NriConfig(), field.name)
-        assert value is None or isinstance(value, field.type), field.name

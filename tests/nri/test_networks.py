@@ -75,16 +75,3 @@ def test_decoder_equals_its_twin(skip_first):
     )
     assert got.shape == (3, V, 5, F)
     np.testing.assert_allclose(got, want, atol=2e-5 * np.abs(want).max())
-
-
-def test_type_zero_is_no_edge():
-    """With skip_first and all pairs of type 0 a node's future does not depend on the others."""
-    decoder = Decoder(F, WIDTH, 2, True)
-    none = tf.constant(np.tile([1.0, 0.0], (1, V * (V - 1), 1)), tf.float32)
-    x = features(8, batch=1)[:, :, 0]
-    other = x.copy()
-    other[:, 1:] += 1.0
-    plain, changed = (unroll(decoder, tf.constant(f), none, 4).numpy() for f in (x, other))
-    np.testing.assert_array_equal(plain[:, 0], changed[:, 0])
-    linked = unroll(decoder, tf.constant(other), 1.0 - none, 4).numpy()
-    assert np.abs(linked[:, 0] - plain[:, 0]).max() > 1e-4

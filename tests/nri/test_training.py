@@ -11,7 +11,7 @@ from nri.config import NriConfig
 from nri.model import load_model
 from nri.training import LateDecay, Trainer
 from pca_tools import files
-from tests.learning_to_simulate import synthetic
+from tests.learning_to_simulate import models, synthetic
 from tests.nri import small
 from tests.pca_tools.commands import run_command
 
@@ -36,7 +36,7 @@ def test_resumed_training_gives_the_same_bits(tmp_path, monkeypatch):
         log(row, bar)
 
     monkeypatch.setattr(experiment, '_log', log_and_copy)
-    with small.eagerly():
+    with models.eagerly():
         whole, parts = (
             experiment.train(folder, str(tmp_path / name), config()) for name in ('whole', 'parts')
         )
@@ -122,21 +122,27 @@ def test_learning_rate_decays_late():
 
 @pytest.mark.parametrize(
     'settings',
-    [{'symmetric': True, 'no_edge_prior': 0.9}, {'skip_first': False, 'edge_types': 3}],
+    [
+        {'symmetric': True, 'no_edge_prior': 0.9},
+        {'skip_first': False, 'edge_types': 3},
+        {'supervised': True},
+    ],
 )
 def test_every_variant_learns_and_its_gradients_reach_all_weights(settings):
     held = small.springs(n_run=32, n_frame=17)
     model = small.model(held, learning_rate=3e-3, **settings)
     trainer = Trainer(model, held)
     before = [v.numpy() for v in model.trainable_variables]
-    first = trainer.evaluate(held)['loss']
-    for i in range(60):
-        trainer.step(i)
-    after = trainer.evaluate(held)
+    with models.eagerly():
+        first = trainer.evaluate(held)['loss']
+        for i in range(60):
+            trainer.step(i)
+        after = trainer.evaluate(held)
     assert np.isfinite(after['loss']) and after['loss'] < first
     # Biases in front of a batch normalisation or a softmax may stay; matrices may not.
     for old, variable in zip(before, model.trainable_variables, strict=True):
-        if variable.name.endswith('w:0'):
+        is_left = model.config.supervised and 'decoder' in variable.name
+        if variable.name.endswith('w:0') and not is_left:
             assert (old != variable.numpy()).any(), variable.name
 
 
@@ -147,7 +153,7 @@ def test_degenerate_data_stay_finite():
     held.features[8:] = 0.0
     model = small.model(held)
     trainer = Trainer(model, held)
-    with small.eagerly():
+    with models.eagerly():
         for i in range(20):
             assert np.isfinite(float(trainer.step(i)['loss']))
         assert np.isfinite(model.edge_probabilities(held.features)).all()
@@ -200,11 +206,6 @@ def accuracy_after(n_step, n_objects, **settings):
     for i in range(n_step):
         trainer.step(i)
     return trainer.evaluate(new)['accuracy']
-
-
-def test_supervised_encoder_finds_the_springs_of_five_objects():
-    # Measured 0.974; reports nri_proof trains for longer.
-    assert accuracy_after(1500, 5, learning_rate=2e-3, supervised=True) > 0.94
 
 
 @pytest.mark.slow

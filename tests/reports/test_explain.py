@@ -4,12 +4,10 @@ import numpy as np
 import pytest
 import tensorflow as tf
 
-from learning_to_simulate import checkpoints, presets, reading_utils, registry, rollout
-from learning_to_simulate.subspace import method
-from pca_tools import dataset
+from learning_to_simulate import rollout
 from reports.explain import __main__ as explain
 from reports.explain import explanation, product_count
-from tests.learning_to_simulate import models, synthetic
+from tests.learning_to_simulate import models
 
 
 def test_products_count_what_depends_on_the_arguments():
@@ -41,18 +39,8 @@ def test_plain_frame_equals_the_count_by_the_layers(tmp_path):
 
 @pytest.fixture(scope='module')
 def trained(tmp_path_factory):
-    folder = tmp_path_factory.mktemp('explain')
-    data = synthetic.write_dataset(folder / 'data', rigid_counts=(6,))
-    config = presets.make_config('pcg', **models.SMALL | {'rigid_particles': 2, 'modes': 2,
-                                                         'mode_edges': 3})  # fmt: skip
-    metadata = dataset.read_metadata(data)
-    groups = reading_utils.read_groups(data, 'train', metadata, **config.nodes)
-    model = method.make_model(data, metadata, groups, config)
-    path = folder / 'model'
-    path.mkdir()
-    checkpoints.save_config(str(path), model, 2, {})
-    checkpoints.save_weights(str(path), checkpoints.weights_of(model))
-    return str(path), data
+    few = {'rigid_particles': 2, 'modes': 2, 'mode_edges': 3}
+    return models.saved(tmp_path_factory.mktemp('explain'), rigid_counts=(6,), overrides=few)
 
 
 def _three_frames(*arguments):
@@ -62,11 +50,8 @@ def _three_frames(*arguments):
 
 def test_every_item_is_listed_with_what_it_saves(trained, monkeypatch):
     monkeypatch.setattr(explanation, 'rollout_inputs', _three_frames)
-    tf.config.run_functions_eagerly(True)  # no compilation: the items are the same
-    try:
+    with models.eagerly():
         values = explanation.Explanation(*trained).measure(rounds=1)
-    finally:
-        tf.config.run_functions_eagerly(False)
     items = {item['name'].split(' (')[0]: item for item in values['items']}
     edges = 2 * 2 + 3
     assert (values['nodes'], values['edges']) == (4, edges)
@@ -78,12 +63,3 @@ def test_every_item_is_listed_with_what_it_saves(trained, monkeypatch):
     assert items['context: rows of the first layer']['us_per_step'] is None
     text = explain.table(values)
     assert all(item['name'] in text for item in values['items']) and 'nan' not in text
-
-
-def test_model_without_a_graph_is_refused(trained, monkeypatch):
-    path, data = trained
-    opened = registry.open_model(path, data, 'test')
-    object.__setattr__(opened.model.simulator.config, 'model', 'mlp')
-    monkeypatch.setattr(method, 'open_model', lambda *_: opened)
-    with pytest.raises(ValueError, match="'mlp' has no graph"):
-        explanation.Explanation(path, data)

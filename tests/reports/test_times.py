@@ -8,6 +8,7 @@ import pytest
 
 from pca_tools import dataset, files
 from reports import times, timing
+from tests.learning_to_simulate import models
 from tests.learning_to_simulate.soil_field import worlds
 from tests.reports.protocol.known import document
 
@@ -87,7 +88,8 @@ def test_a_soil_field_is_timed_with_each_number_of_members(tmp_path):
 
     data = worlds.write_dataset(tmp_path / 'data', range(3))
     model = str(tmp_path / 'field')
-    lts.train(lts.preset('soil_field', members=2, num_steps=6), lts.Dataset(data), model)
+    with models.eagerly():
+        lts.train(lts.preset('soil_field', members=2, num_steps=6), lts.Dataset(data), model)
     jobs, errors = times.field_jobs(model, data)
     engines = [f'soil field, {m} of 2 members, {e}' for m in (1, 2) for e in ('C', 'TensorFlow')]
     assert list(dict.fromkeys(name for name, _ in jobs)) == engines

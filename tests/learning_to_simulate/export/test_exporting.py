@@ -7,7 +7,7 @@ import sys
 import numpy as np
 import pytest
 
-from learning_to_simulate import checkpoints, registry, rollout
+from learning_to_simulate import registry, rollout
 from learning_to_simulate.export import exporting
 from pca_tools import subspace
 from tests.learning_to_simulate import models, synthetic
@@ -38,20 +38,8 @@ np.savez(sys.argv[4], position=position, forces=forces, particles=particles)
 """
 
 
-def make(tmp_path, motion, with_subspace=True, **more):
-    """A dataset and an untrained model of it on disk; returns their paths."""
-    data, path = tmp_path / 'data', tmp_path / 'model'
-    path.mkdir(parents=True)
-    model, groups, _ = models.make(data, motion=motion, **more)
-    checkpoints.save_config(str(path), model, groups[0].n_rigid, {})
-    checkpoints.save_weights(str(path), checkpoints.weights_of(model))
-    if with_subspace:
-        synthetic.write_subspace(data)
-    return str(path), str(data)
-
-
 def test_saved_model_rolls_out_without_the_project(tmp_path):
-    model_path, data = make(tmp_path, 'driven', context='changing')
+    model_path, data = models.saved(tmp_path, motion='driven', context='changing')
     out = str(tmp_path / 'exported')
     description = exporting.export(model_path, data, out, 'savedmodel')
     assert set(description['signatures']) == {'step', 'reconstruct'}
@@ -81,8 +69,8 @@ def test_saved_model_rolls_out_without_the_project(tmp_path):
 
 
 def test_predicted_body_is_kept_rigid_in_a_saved_model_and_refused_elsewhere(tmp_path):
-    model_path, data = make(
-        tmp_path, 'predicted', with_subspace=False, preset='pcg_thesis', rigid_counts=(6,)
+    model_path, data = models.saved(
+        tmp_path, 'pcg_thesis', with_subspace=False, motion='predicted', rigid_counts=(6,)
     )
     description = exporting.export(model_path, data, str(tmp_path / 'exported'), 'savedmodel')
     assert set(description['signatures']) == {'step'}
@@ -98,7 +86,7 @@ def test_litert_and_onnx_say_the_same(tmp_path, kind, motion):
     if kind == 'onnx':
         pytest.importorskip('tf2onnx', reason='extra deploy')
         pytest.importorskip('onnxruntime', reason='extra deploy')
-    model_path, data = make(tmp_path, motion)
+    model_path, data = models.saved(tmp_path, motion=motion)
     out = tmp_path / 'exported'
     description = exporting.export(model_path, data, str(out), kind)
     assert {f'step.{kind}', f'reconstruct.{kind}', 'sample.npz'} < {p.name for p in out.iterdir()}
@@ -110,7 +98,7 @@ def test_litert_and_onnx_say_the_same(tmp_path, kind, motion):
 
 
 def test_bad_input_leaves_nothing_behind(tmp_path, monkeypatch):
-    model_path, data = make(tmp_path, 'prescribed')
+    model_path, data = models.saved(tmp_path)
     out = tmp_path / 'exported'
     monkeypatch.setitem(sys.modules, 'tf2onnx', None)
     with pytest.raises(ValueError, match='comes with the extra'):

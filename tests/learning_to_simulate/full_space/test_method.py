@@ -1,8 +1,6 @@
 """The full-space baseline: neighbours, invariance, data, training and rollouts in miniature."""
 
 import json
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -21,6 +19,7 @@ from learning_to_simulate.full_space.training import ParticleTrainer
 from pca_tools import convert, dataset, files
 from tests.learning_to_simulate import synthetic as modes
 from tests.pca_tools import synthetic
+from tests.pca_tools.commands import run_command
 
 SHORT = {'soil_particles': 60, 'latent_size': 8, 'message_passing_steps': 2, 'num_steps': 6}
 
@@ -174,12 +173,12 @@ def test_command_trains_and_rolls_out(folders, tmp_path):
     folder, raw = folders['excavation']
     path, out = str(tmp_path / 'model'), str(tmp_path / 'out')
     command = [
-        sys.executable, '-m', 'learning_to_simulate.train', f'--data_path={folder}',
-        f'--model_path={path}', f'--raw_path={raw}',
+        'learning_to_simulate.train', f'--data_path={folder}', f'--model_path={path}',
+        f'--raw_path={raw}',
     ]  # fmt: skip
     train = [*(f'--set={k}={v}' for k, v in SHORT.items()), '--model=full_space']
     for extra in (train, [f'--output_path={out}', '--mode=eval_rollout']):
-        done = subprocess.run([*command, *extra], capture_output=True, text=True)
+        done = run_command(*command, *extra)
         assert done.returncode == 0, done.stderr
     summary = json.loads((tmp_path / 'out' / 'metrics.json').read_text())
     values = files.read_npz(f'{out}/rollout_test_0.npz')

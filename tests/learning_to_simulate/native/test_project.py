@@ -12,10 +12,8 @@ import types
 import numpy as np
 import pytest
 
-from learning_to_simulate import checkpoints
 from learning_to_simulate.export import __main__ as export_command
 from learning_to_simulate.export import exporting
-from learning_to_simulate.live import starts as live_starts
 from learning_to_simulate.native import agreement, fmu, library, project
 from learning_to_simulate.native.binding import CSubspace
 from tests.learning_to_simulate import models
@@ -24,9 +22,9 @@ from tests.learning_to_simulate.native import worlds
 pytestmark = worlds.needs_c
 
 
-def _compiled(folder, flags=library.FLAGS):
+def _compiled(folder):
     built = os.path.join(folder, 'small.so')
-    library.compile_sources(built, *library.parts_of(folder), flags=flags)
+    library.compile_sources(built, *library.parts_of(folder), flags=worlds.QUICK)
     return built
 
 
@@ -45,14 +43,7 @@ def small(tmp_path_factory):
 @pytest.fixture(scope='module')
 def saved(tmp_path_factory):
     """Folders of a model and of its dataset."""
-    folder = tmp_path_factory.mktemp('saved')
-    data, path = (str(folder / name) for name in ('data', 'model'))
-    model, (group,), _ = models.make(folder / 'data')
-    os.makedirs(path)
-    beside = live_starts.write(path, data, model.simulator.config.nodes)
-    checkpoints.save_config(path, model, group.n_rigid, {}, beside)
-    checkpoints.save_weights(path, checkpoints.weights_of(model))
-    return path, data
+    return models.saved(tmp_path_factory.mktemp('saved'), with_subspace=False)
 
 
 def test_generated_constants_give_the_same_bits_as_those_of_python(tmp_path):
@@ -168,7 +159,7 @@ def test_names_of_models_are_not_those_of_the_library(small, tmp_path):
         assert re.fullmatch(path.replace('/', '_').join(['lts', '_[0-9a-f]{8}']), name)
     assert all(re.fullmatch('lts_[0-9a-f]{8}', name) for name in names[len(taken) :])
     folder = worlds.written(tmp_path / 'project', names[0], small)
-    built = _compiled(folder, ('-std=c99', '-O1', '-fPIC', '-shared'))
+    built = _compiled(folder)
     assert CSubspace.open(built, names[0]).description.digest.decode() == small['digest']
 
 

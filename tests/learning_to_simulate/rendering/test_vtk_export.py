@@ -1,8 +1,6 @@
 """VTK files of a rollout, read back by hand."""
 
-import base64
 import os
-import zlib
 from xml.etree import ElementTree
 
 import numpy as np
@@ -13,20 +11,7 @@ from learning_to_simulate.rendering.rollout_frames import PREDICTION, TRUTH
 from pca_tools.formats import vtp_files
 from tests.learning_to_simulate import synthetic_rollout
 from tests.learning_to_simulate.synthetic_rollout import DT, N_RIGID
-
-
-def decoded(element):
-    """An inline binary array of a `.vtp`: header and zlib block, both base64."""
-    text = element.text.strip()
-    header = np.frombuffer(base64.b64decode(text[:24]), '<u4')  # 16 bytes are 24 characters
-    blocks, size, last, packed = header
-    assert (blocks, last) == (1, 0)
-    data = zlib.decompress(base64.b64decode(text[24:]))
-    assert len(data) == size and len(base64.b64decode(text[24:])) == packed
-    kinds = {'Float32': '<f4', 'Float64': '<f8', 'Int32': '<i4'}
-    values = np.frombuffer(data, kinds[element.get('type')])
-    columns = int(element.get('NumberOfComponents'))
-    return values.reshape(-1, columns) if columns > 1 else values
+from tests.pca_tools.test_formats import vtk_array
 
 
 def test_files_hold_the_rollout(tmp_path):
@@ -47,10 +32,10 @@ def test_files_hold_the_rollout(tmp_path):
     piece = root.find('PolyData/Piece')
     count = N_RIGID + len(frames.start)
     assert piece.get('NumberOfPoints') == piece.get('NumberOfVerts') == str(count)
-    points, soil = decoded(piece.find('Points/DataArray')), frames.soil[PREDICTION][40]
+    points, soil = vtk_array(piece.find('Points/DataArray')), frames.soil[PREDICTION][40]
     np.testing.assert_allclose(points[N_RIGID:], soil, rtol=1e-6)  # float32 in the file
     np.testing.assert_allclose(points[:N_RIGID], frames.rigid[PREDICTION][46], rtol=1e-6)
-    data = {e.get('Name'): decoded(e) for e in piece.find('PointData')}
+    data = {e.get('Name'): vtk_array(e) for e in piece.find('PointData')}
     assert data['particle_type'].tolist() == [3] * N_RIGID + [6] * len(frames.start)
     expected = {
         'displacement': soil - frames.start,
@@ -60,10 +45,10 @@ def test_files_hold_the_rollout(tmp_path):
     assert data.keys() == expected.keys() | {'particle_type'}
     for name, values in expected.items():
         np.testing.assert_allclose(data[name][N_RIGID:], values, atol=1e-6)
-    verts = {e.get('Name'): decoded(e) for e in piece.find('Verts')}
+    verts = {e.get('Name'): vtk_array(e) for e in piece.find('Verts')}
     np.testing.assert_array_equal(verts['connectivity'], np.arange(count))
     np.testing.assert_array_equal(verts['offsets'], np.arange(1, count + 1))
-    field = {e.get('Name'): decoded(e) for e in root.find('PolyData/FieldData')}
+    field = {e.get('Name'): vtk_array(e) for e in root.find('PolyData/FieldData')}
     np.testing.assert_allclose(field['time'], 46 * DT)
     np.testing.assert_allclose(field['force'][0], frames.force[PREDICTION][46])
 

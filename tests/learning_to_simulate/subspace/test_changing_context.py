@@ -9,12 +9,12 @@ import tensorflow as tf
 import learning_to_simulate as lts
 from learning_to_simulate import rollout_status
 from learning_to_simulate.live.stepper import Stepper
-from learning_to_simulate.native import library
 from learning_to_simulate.native.binding import CSubspace
 from learning_to_simulate.normalization import compute_statistics
 from learning_to_simulate.rollout_status import RolloutStatus
 from learning_to_simulate.subspace.trainer import Trainer
 from tests.learning_to_simulate import models
+from tests.learning_to_simulate.native.worlds import needs_c
 
 H = 6
 # m; float32 offsets of 0.1 m after a few steps. What the context does is hundreds of times that.
@@ -99,9 +99,7 @@ def test_live_steps_are_the_rollout(made, stepper):
     np.testing.assert_allclose(got, expected, atol=TOLERANCE)
 
 
-@pytest.mark.skipif(
-    not any(map(library.shutil.which, ('cc', 'gcc', 'clang'))), reason='no C compiler'
-)
+@needs_c
 def test_live_steps_in_c_are_those_of_tensorflow(made):
     model, group = made
     soil = CSubspace.of(model, group.n_rigid)

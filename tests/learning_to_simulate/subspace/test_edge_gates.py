@@ -50,7 +50,8 @@ def trained(data, tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(training_state, 'KEPT', 3)
         patch.setattr(EdgeGates, '__init__', with_five)
-        registry.train(data, path, presets.make_config('pcg', **GATED), save_every=10)
+        with models.eagerly():
+            registry.train(data, path, presets.make_config('pcg', **GATED), save_every=10)
     return path
 
 
@@ -172,7 +173,8 @@ def test_training_resumes_to_the_same_weights_and_edges(data, trained, tmp_path,
         if not name.startswith(f'ckpt-{step}.'):
             (path / name).unlink()
     assert training_state.stored_steps(str(path)) == [step]
-    registry.train(data, str(path), presets.make_config('pcg', **GATED), save_every=10)
+    with models.eagerly():
+        registry.train(data, str(path), presets.make_config('pcg', **GATED), save_every=10)
     for name in ('edges.json', 'config.json'):
         assert (path / name).read_bytes() == pathlib.Path(trained, name).read_bytes()
     weights, straight = (files.read_npz(f'{p}/{checkpoints.WEIGHTS_FILE}') for p in (path, trained))

@@ -1,14 +1,12 @@
 """One step of every network against numpy twins, and what must hold for any weights."""
 
-
 import graph_nets as gn
 import numpy as np
 import pytest
 import tensorflow as tf
 
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
-from learning_to_simulate.rollout import RolloutFunction, roll_out, rollout_inputs
-from learning_to_simulate.subspace import graph_network, learned_simulator, rigid_body
+from learning_to_simulate.subspace import graph_network, learned_simulator
 from tests.learning_to_simulate import models
 from tests.learning_to_simulate.twins.numpy_twin import Twin
 from tests.learning_to_simulate.twins.whole_state_twin import WholeStateTwin
@@ -76,59 +74,6 @@ def test_what_was_true_reproduces_the_run(tmp_path, monkeypatch, case):
     positions, _ = models.steps(model, group, count=group.position.shape[1] - H)
     error = positions - group.position[0, H:]
     assert np.abs(error[-1]).max() < 1e-6 * np.ptp(group.position[:, :, group.n_rigid :])
-
-
-def test_batch_of_runs_equals_single_runs(tmp_path):
-    model, (group,), _ = models.make(tmp_path, context=True, motion='driven')
-    function = RolloutFunction(model.simulator, model.layout(group.n_rigid))
-    together = roll_out(function, group)
-    for run in range(2):
-        alone = roll_out(function, group.select(run))
-        scale = np.ptp(group.position[run], axis=0).max()
-        np.testing.assert_allclose(together.position[run], alone.position[0], atol=2e-5 * scale)
-        np.testing.assert_allclose(together.force[run], alone.force[0], rtol=1e-4)
-
-
-def test_scene_without_a_part_has_no_variable_for_it(tmp_path):
-    """Absent means absent: no force head, no context inputs, no look at the coming frame, no edge
-    of a network without a graph."""
-
-    def shapes(name, **case):
-        model, _, _ = models.make(tmp_path / name, **case)
-        return {v.name: v.shape for v in model.simulator.trainable_variables}
-
-    def width(name, **case):
-        made = shapes(name, **case)
-        (first,) = (x[0] for n, x in made.items() if 'node_model/mlp/linear_0/w' in n)
-        (last,) = (x[1] for n, x in made.items() if 'decoder/linear_2/w' in n)
-        return first, last
-
-    inputs, outputs = width('plain')
-    assert width('no force', force=False) == (inputs, outputs - 3)
-    assert width('context', context=True) == (inputs + 4, outputs)  # two values, two logarithms
-    assert width('predicted', motion='predicted') == (inputs - 3 - 2, outputs)
-    for preset in ('mlp', 'mixer_scse'):
-        assert not [n for n in shapes(preset, preset=preset) if 'edge' in n or 'embedding' in n]
-
-
-def test_rate_scaling_makes_motion_proportional_to_the_body(tmp_path):
-    """Twice the displacement of the body, history included, moves the soil twice as far.
-
-    Exact but for the two rate inputs themselves, which the weights below ignore.
-    """
-    model, (group,), _ = models.make(tmp_path)
-    weights = model.simulator.network.weights().node_encoder.layers[0][0]
-    rows = np.arange(weights.shape[0])[:, None]
-    weights.assign(np.where((rows == 6) | (rows == 7), 0.0, weights))  # log rate, rate
-    layout = model.layout(group.n_rigid)
-    state, known, context, _ = rollout_inputs(group, layout, model.simulator.scene)
-    moves = []
-    for factor in (1.0, 2.0):
-        scaled = state._replace(velocity=factor * state.velocity)
-        coming = rigid_body.KnownMotion(known.offset[0], factor * known.velocity[0])
-        after, _ = model.simulator.step(scaled, coming, context, layout)
-        moves.append((after.velocity[:, layout.n_rigid :, -1]).numpy())
-    np.testing.assert_allclose(moves[1], 2 * moves[0], rtol=1e-4, atol=1e-9)
 
 
 def test_history_of_wrong_length_is_refused():

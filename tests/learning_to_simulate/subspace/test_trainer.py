@@ -7,7 +7,6 @@ gradients stopped between frames; equal weights of the forces; no clipping; no a
 
 import numpy as np
 import pytest
-import tensorflow as tf
 
 from learning_to_simulate.subspace.trainer import Trainer
 from learning_to_simulate.training.schedule import UNROLLED_RATE
@@ -51,11 +50,8 @@ def test_training_step_is_that_of_the_twin(tmp_path, overrides):
         loss, rate = twin.unrolled_loss, UNROLLED_RATE
     expected_loss, gradient = loss(0), twin.gradient(loss, 0)
     trainer = Trainer(model, groups)
-    tf.config.run_functions_eagerly(True)
-    try:
+    with models.eagerly():
         found_loss = float(trainer.step(0)['loss'])
-    finally:
-        tf.config.run_functions_eagerly(False)
     # float32 features of scores whose steps are a thousandth of them.
     assert found_loss == pytest.approx(expected_loss, rel=1e-4)
     norm = np.linalg.norm(gradient)
@@ -76,13 +72,3 @@ def test_training_step_is_that_of_the_twin(tmp_path, overrides):
         (flat(trainer.averaging.variables), averages),
     ):
         np.testing.assert_allclose(found[clear], wanted[clear], atol=rate * 2e-2)
-
-
-def test_noise_is_as_large_as_the_config_says_and_never_on_the_body(tmp_path):
-    """The walk itself: its last value has `noise_std` of each mode's own velocity."""
-    model, groups = make(tmp_path, CASES['single step'])
-    twin = TrainingTwin(model, groups[0])
-    noise = twin.noise(0, 2000)
-    assert not noise[:, :, : twin.n].any()
-    std = noise[:, -1, twin.n :].std(axis=0)
-    np.testing.assert_allclose(std, 0.5 * twin.s.velocity_std[1:], rtol=0.1)

@@ -85,17 +85,20 @@ def test_training_resumes_and_rolls_out(tmp_path):
     os.remove(dataset.split_path(folder, 'valid'))  # the test runs are rolled out below
     path = str(tmp_path / 'model')
     config = presets.make_config('mixer_scse', **SHORT)
-    registry.train(folder, path, config, save_every=7)
+    with models.eagerly():
+        registry.train(folder, path, config, save_every=7)
     before = files.read_npz(f'{path}/{checkpoints.WEIGHTS_FILE}')
     registry.train(folder, path, config, save_every=7)
     opened = registry.open_model(path, folder, 'test')
     loaded, metadata, groups = opened.model, opened.metadata, opened.groups
     for variable, stored in zip(loaded.simulator.trainable_variables, before.values()):
         np.testing.assert_array_equal(variable.numpy(), stored)
-    _, summary = evaluation.Evaluator(loaded, metadata).run(groups, 'test')
+    with models.eagerly():
+        _, summary = evaluation.Evaluator(loaded, metadata).run(groups, 'test')
+        errors = Trainer(loaded, groups).one_step_errors(2)
     assert summary['mean']['model']['soil_mse'] > 0
     assert all(row['edges'] == 0 for row in summary['runs']['model'])
-    assert np.isfinite(Trainer(loaded, groups).one_step_errors(2)['loss'])
+    assert np.isfinite(errors['loss'])
     with pytest.raises(ValueError, match='model=gns contradicts the model'):
         registry.open_model(path, folder, 'test', {'model': 'gns'})
     other = synthetic.write_dataset(tmp_path / 'other', rigid_counts=(6,))

@@ -1,13 +1,15 @@
 """The proof of NRI, in miniature."""
 
 from reports.edges import nri_proof
+from tests.learning_to_simulate import models
 from tests.nri import small
 
 
 def test_proof_simulates_trains_measures_and_draws(tmp_path):
     config = nri_proof.NriConfig(**small.TINY, epochs=2)
     counts = {'train': 32, 'valid': 16, 'test': 16}
-    result = nri_proof.run('springs', 3, str(tmp_path), counts, config)
+    with models.eagerly():
+        result = nri_proof.run('springs', 3, str(tmp_path), counts, config)
     assert [row['epoch'] for row in result['curve']] == [1, 2]
     assert 0.5 <= result['test_accuracy'] <= 1 and result['runs'] == counts
     nri_proof.draw(result, str(tmp_path / 'curve.png'))

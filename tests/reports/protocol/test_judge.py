@@ -8,6 +8,7 @@ import pytest
 from pca_tools import files
 from reports.protocol import __main__ as command
 from reports.protocol import judge, tables
+from tests.learning_to_simulate import models
 from tests.learning_to_simulate.soil_field import worlds
 from tests.reports.protocol.known import document
 
@@ -62,8 +63,9 @@ def test_a_scene_with_a_soil_field_and_a_network_is_judged_on_the_same_runs(tmp_
     data = [worlds.write_dataset(tmp_path / str(i), range(3 * i, 3 * i + 3)) for i in (0, 1)]
     both = [lts.Dataset(path) for path in data]
     few = {'num_steps': 6}
-    lts.train(lts.preset('soil_field', members=1, **few), both, str(tmp_path / 'field'))
-    lts.train(lts.preset('mlp', **few), both[0], str(tmp_path / 'mlp'))
+    with models.eagerly():
+        lts.train(lts.preset('soil_field', members=1, **few), both, str(tmp_path / 'field'))
+        lts.train(lts.preset('mlp', **few), both[0], str(tmp_path / 'mlp'))
 
     class Values:
         data_path = ','.join(data)
