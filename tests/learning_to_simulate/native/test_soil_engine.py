@@ -136,10 +136,10 @@ def test_frames_as_the_networks_see_them_and_what_these_say():
         np.testing.assert_allclose(np.concatenate(c.place), np.concatenate(tf.place), atol=1e-15)
 
 
-@pytest.mark.parametrize('yaw', [0.0, 0.7])
 @pytest.mark.parametrize('ground', [flat, hills])
 @pytest.mark.parametrize('tool', TOOLS.values(), ids=TOOLS)
-def test_a_long_way_there_and_back(tool, ground, yaw):
+def test_a_long_way_there_and_back(tool, ground):
+    yaw = 0.7
     way = path(110, 1.5)
     way = np.concatenate([way, way[::-1]])
     way[:, 1] += tool.radius
@@ -170,15 +170,14 @@ def test_even_ground_that_ends_takes_all_strips():
     assert_ground(*pair)
 
 
-@pytest.mark.parametrize('engines', [('c', 'c'), ('c', 'tensorflow'), ('tensorflow', 'c')])
-def test_several_tools_on_one_terrain_each_meet_what_the_others_left(engines):
+def test_several_tools_on_one_terrain_each_meet_what_the_others_left():
     """Two side by side and one across, in turn: as in Python, also where one of them is in it."""
     ways = [
         poses(path(70, 0.9)), poses(path(70, 0.9), shift=(0.0, 0.0, 0.28)),
         poses(path(70, 1.0), yaw=1.4, shift=(-0.3, 0.0, 0.5)),
     ]  # fmt: skip
     results = []
-    for kinds in ((*engines, 'c'), ('tensorflow',) * 3):
+    for kinds in (('c', 'tensorflow', 'c'), ('tensorflow',) * 3):
         terrain = hills(size=(2.4, 2.4))
         tools = [SoilStepper(field(), terrain, BLADE, engine=kind) for kind in kinds]
         frames = [[tool.start(way[0]) for tool, way in zip(tools, ways, strict=True)]]
@@ -273,7 +272,7 @@ def test_a_proposal_changes_nothing_and_clones_go_on_to_the_same_bits():
         assert (one.force == other.force).all() and one.judgement == other.judgement
         assert_frame(one, tf.propose(pose, dt))
     np.testing.assert_array_equal(c.terrain.heights, heights)
-    copied = c.clone()
+    copied, other = c.clone(), tf.clone()
     assert copied.terrain is not c.terrain and copied.engine == c.engine
     for pose in way[40:]:
         proposed = c.propose(pose, DT)
@@ -281,9 +280,12 @@ def test_a_proposal_changes_nothing_and_clones_go_on_to_the_same_bits():
         np.testing.assert_array_equal(frame.force, proposed.force)
         np.testing.assert_array_equal(copied.step(pose, DT).force, frame.force)
         assert_frame(frame, tf.step(pose, DT))
-    np.testing.assert_array_equal(copied.terrain.heights, c.terrain.heights)
+    for pose in way[40:]:
+        last = other.step(pose, DT)
+    np.testing.assert_array_equal(last.force, tf.frame.force)
+    for one, clone in ((c, copied), (tf, other)):
+        np.testing.assert_array_equal(clone.terrain.heights, one.terrain.heights)
     assert_ground(c, tf)
-    np.testing.assert_array_equal(copied.terrain.heights, c.terrain.heights)
 
 
 def test_stiffness_is_the_difference_of_proposals_and_changes_nothing():

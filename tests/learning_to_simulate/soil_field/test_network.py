@@ -2,11 +2,9 @@
 
 import numpy as np
 import pytest
-import tensorflow as tf
 
-from learning_to_simulate.soil_field import inputs, network, settings, strips, sweep
+from learning_to_simulate.soil_field import inputs, network, settings, sweep
 from learning_to_simulate.soil_field.inputs import TABLES
-from learning_to_simulate.soil_field.terrain import Terrain
 from learning_to_simulate.soil_field.tools import Blade, Wheel
 from tests.learning_to_simulate.soil_field import scenes
 from tests.learning_to_simulate.soil_field.scenes import PATH, poses, walk
@@ -200,31 +198,6 @@ def test_rise_and_displacement_are_those_of_the_twin(name):
     assert np.abs(risen).max() > 0.003 and np.abs(moved[..., 2]).max() > 0.003
 
 
-def test_of_fewer_members_the_first_answer():
-    nets, _, frames = scene('wheel', frames=(-1,))
-    np.testing.assert_allclose(nets.loads(*frames[0], 1), nets.loads(*frames[0])[:1], rtol=1e-5)
-
-
-def test_on_even_terrain_one_strip_says_what_eleven_say():
-    level = Terrain.flat((2.0, 2.0), 0.3, corner=(-1.0, -1.0))
-    path = poses(PATH + [0.0, 0.3, 0.0])
-    nets, one, few = scene('blade', level, path)
-    _, eleven, many = scene('blade', level, path, even=False)
-    assert (len(one.centres), len(eleven.centres)) == (1, 11)
-    places = np.stack([about(frame) for frame in few])
-    few, many = stacked(few), stacked(many)
-    load = nets.loads(*many).numpy()
-    np.testing.assert_allclose(nets.loads(*few), load, rtol=1e-4, atol=2e-4)
-    np.testing.assert_allclose(load[..., 2:5], 0.0, atol=1e-3)  # nothing pushes to a side
-    assert np.abs(load[..., :2]).max() > 10
-    for call, columns in ((nets.rise, [0, 2]), (nets.displacement, [0, 1, 2])):
-        np.testing.assert_allclose(
-            ask(call, few, one, places[..., columns]),
-            ask(call, many, eleven, places[..., columns]),
-            atol=1e-6,
-        )
-
-
 def test_a_mirrored_frame_has_a_mirrored_load_and_motion(name):
     nets, strip, frames = scene(name)
     places = np.stack([about(frame) for frame in frames])
@@ -258,40 +231,6 @@ def test_soil_that_nothing_has_reached_rests_to_the_last_bit(name):
     assert not ask(nets.displacement, frame, strip, far).any()
     risen = ask(nets.rise, frame, strip, far[..., [0, 2]])[:, 0]
     assert not risen[:, [0, 1, 3]].any() and risen[:, 2].all()
-
-
-def test_a_passage_begins_without_a_jump():
-    """Motion grows over the first 5 mm of way, which no input sees."""
-    nets, strip, (frame,) = scene('blade', frames=(-1,))
-    scalars = np.concatenate([frame.scalars] * 3)
-    scalars[..., sweep.SCALARS.index('way')] = np.array([[0.0], [0.0025], [0.005]])
-    frames = sweep.Frame(np.concatenate([frame.bins] * 3), scalars)
-    moved = ask(nets.displacement, frames, strip, np.stack([about(frame)] * 3))
-    assert not moved[:, 0].any() and np.abs(moved[:, 2]).max() > 0.003
-    np.testing.assert_allclose(moved[:, 1], moved[:, 2] / 2, atol=1e-7)
-
-
-def test_loads_are_in_proportion_to_the_width_where_all_else_is_equal():
-    """(11) with a network that says the same of all strips: N and N m of the field."""
-    nets = network.SoilNetworks(Blade, 1, 0, HIDDEN)
-    weight, bias = nets.load.layers[-1]
-    weight.assign(0 * weight)
-    bias.assign([[[1.0, 2.0, 3.0, 0.5, 9.0]]])
-    for width in (0.2, 0.4):
-        path = poses([[0.0, -0.03, 0.0], [0.1, -0.03, 0.0]])
-        passage, frames = walk(scenes.hills(), Blade(width), path)
-        assert len(passage.strips.centres) == 11
-        load = nets.loads(*frames[-1]).numpy()[0, 0]
-        unit = width / 0.4 * np.exp(4.0)
-        wanted = unit * np.array([100.0, 200.0, 0.0, 0.0, 0.0, 30.0])
-        np.testing.assert_allclose(load, wanted, rtol=1e-5, atol=1e-3 * unit)
-    # Strips on the right alone: the lever is that of the third and fourth.
-    seen, sides, kappa = nets.load_inputs(*frames[-1])
-    kappa = kappa * tf.constant([[0.0, 0.0, 0.0, 1.0, 1.0]])
-    load = nets.load_of(seen, sides, kappa, tf.constant([0.4])).numpy()[0, 0] / unit
-    arm = np.mean(strips.strips_of(Blade(0.4)).centres[6:8])
-    wanted = [40.0, 80.0, 0.0, -arm * 80, arm * 40, 12]
-    np.testing.assert_allclose(load, wanted, rtol=1e-5, atol=1e-4)
 
 
 def test_networks_differ():

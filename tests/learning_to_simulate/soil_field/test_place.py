@@ -11,13 +11,6 @@ from tests.learning_to_simulate.soil_field import scenes
 RNG = np.random.default_rng(0)
 
 
-def turned(pose, yaw, shift):
-    """Poses [..., 7] in a scene that is turned about the upward axis, then moved."""
-    turn = Rotation.from_euler('y', yaw)
-    q = (turn * Rotation.from_quat(pose[:, [4, 5, 6, 3]])).as_quat()[:, [3, 0, 1, 2]]
-    return np.concatenate([turn.apply(pose[:, :3]) + shift, q], axis=1)
-
-
 def test_rotation_is_that_of_scipy():
     q = Rotation.random(20, random_state=1).as_quat()
     pose = np.concatenate([np.zeros((20, 3)), q[:, [3, 0, 1, 2]]], axis=1)
@@ -57,28 +50,6 @@ def test_lean_yaw_and_roll_have_their_signs():
     # The top of a leant tool lies behind; its front edge is what it turns about.
     top = poses.rotation_matrix(scenes.poses([[0.0, 0.0, 0.3]])[0, 3:]) @ place.UP
     assert here.local(here.origin + top)[0] == pytest.approx(-np.sin(0.3))
-
-
-def test_turning_the_scene_changes_nothing_that_is_seen():
-    q = Rotation.from_euler('yzx', RNG.uniform(-0.6, 0.6, (12, 3))).as_quat()[:, [3, 0, 1, 2]]
-    pose = np.concatenate([RNG.normal(size=(12, 3)), q], axis=1)
-    here = place.place_of(pose[0])
-    for yaw, shift in [(0.3, (5.0, 0.0, 1.0)), (-2.9, (0.0, 0.0, -7.0)), (np.pi, (0.0, 0.0, 0.0))]:
-        there_pose = turned(pose, yaw, shift)
-        there = place.place_of(there_pose[0])
-        np.testing.assert_allclose(
-            there.local(there_pose[:, :3]), here.local(pose[:, :3]), atol=1e-13
-        )
-        np.testing.assert_allclose(there.turns(there_pose), here.turns(pose), atol=1e-13)
-
-
-def test_a_mirror_changes_what_goes_across():
-    q = Rotation.from_euler('yzx', RNG.uniform(-0.6, 0.6, (5, 3))).as_quat()[:, [3, 0, 1, 2]]
-    pose = np.concatenate([RNG.normal(size=(5, 3)), q], axis=1)
-    here, there = place.place_of(pose[0]), place.place_of(scenes.mirrored(pose[0]))
-    local = there.local(scenes.mirrored(pose)[:, :3]), there.turns(scenes.mirrored(pose))
-    np.testing.assert_allclose(local[0], here.local(pose[:, :3]) * [1, 1, -1], atol=1e-13)
-    np.testing.assert_allclose(local[1], here.turns(pose) * [1, -1, -1], atol=1e-13)
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,6 @@ import pytest
 
 from learning_to_simulate.soil_field import strips
 from learning_to_simulate.soil_field.place import place_of
-from learning_to_simulate.soil_field.terrain import Terrain
 from learning_to_simulate.soil_field.tools import Blade, Wheel
 from tests.learning_to_simulate.soil_field import scenes
 
@@ -43,29 +42,3 @@ def test_heights_are_means_over_the_width(tool):
         x, _, z = np.moveaxis(PLACE.world(points), -1, 0)
         np.testing.assert_allclose(read[j], terrain.at(x, z).mean(axis=1) / scale, atol=2e-4)
     assert np.ptp(read, axis=0).max() > 0.01
-
-
-def test_a_heap_on_the_right_is_in_the_strips_on_the_right():
-    """To the right is across; the tool looks along -x, so that is -z."""
-    heights = np.zeros((50, 50))
-    heights[:, :25] = 0.1  # z < 0
-    terrain, found = Terrain(heights, 0.04, (-1.0, -1.0)), strips.strips_of(Blade(0.4))
-    place = place_of(scenes.poses([[0.0, 0.0, 0.0]])[0])
-    read = strips.heights(terrain, place, 1.0, found, np.zeros((11, 1)))[:, 0]
-    assert not read[:5].any() and (read[6:] > 0.0999).all() and found.centres[-1] > 0
-
-
-def test_even_terrain_gives_equal_strips():
-    terrain, found = Terrain.flat((1.0, 1.0), 0.1234567), strips.strips_of(Blade(0.4))
-    read = strips.heights(terrain, PLACE, 1.0, found, np.broadcast_to(np.arange(4.0), (11, 4)))
-    assert np.ptp(read) == 0
-
-
-def test_shares_interpolate_what_is_linear():
-    found = strips.strips_of(Blade(0.3))
-    across = np.linspace(-0.6, 0.6, 101).reshape(1, 101)
-    low, share = found.shares(across)
-    values = 3.0 - 2.0 * found.centres
-    mixed = values[low] + share * (values[low + 1] - values[low])
-    inside = np.clip(across, found.centres[0], found.centres[-1])
-    np.testing.assert_allclose(mixed, 3.0 - 2.0 * inside, atol=1e-14)

@@ -187,76 +187,6 @@ def test_ten_metres_there_and_back_in_a_ring_equal_bins_without_end():
     assert tips.min() >= -sweep.GRID.back - 1e-9 and tips.max() <= sweep.GRID.on + 1e-9
 
 
-def test_a_ring_does_not_jump_where_it_follows_a_tool_that_goes_back():
-    """One metre there, nearly one back in the trench: the area about the tool stays."""
-    path = long_path(1.0, 0.9, 0.01)
-    path[:, 1] = -0.03
-    area = np.array([sweep.area(s)[0] for s in run(path, np.zeros(len(path) - 1))])
-    steps = np.abs(np.diff(area))[1:]  # at first it stands in soil that it has not cut
-    assert steps.max() < 1.2 * 0.01 * 0.06 and area.max() > 0.02
-
-
-def test_bins_that_come_back_into_sight_begin_anew():
-    """A trench of 1 m, and back over it in the air; the terrain that is read has no trench."""
-    there = long_path(1.0, 0.0, 0.01)
-    there[:, 1] = -0.03
-    path = np.concatenate([there, [[1.0, 0.1, 0.0]], there[::-1] + [0.0, 0.13, 0.0]])
-    state = run(path, np.zeros(len(path) - 1))[-1]
-    u = state.origin[0] + sweep.GRID.offsets
-    # At its farthest the ring began at 0.702 - 0.55.
-    fresh = u < 0.1
-    bins = sweep.channels(state, np.zeros(2))
-    assert (bins[:, ~fresh, sweep.CUT] > 0.02).sum() > 100 and u[0] < -0.4
-    np.testing.assert_array_equal(bins[:, fresh, sweep.SINCE], np.float32(sweep.FORGET))
-    assert not bins[:, fresh][..., [sweep.CUT, sweep.AREA_BEFORE]].any()
-
-
-@pytest.mark.parametrize('length', [0.05, 0.7, 3.0])
-def test_a_step_of_any_length_leaves_the_same_trench(length):
-    path = np.array([[0.0, -0.03, 0.0], [length, -0.03, 0.0]])
-    fine = np.linspace(*path, 301)
-    one, many = run(path, np.zeros(1))[-1], run(fine, np.zeros(300))[-1]
-    np.testing.assert_allclose(one.origin, many.origin, atol=1e-12)
-    np.testing.assert_allclose(one.profile, many.profile, atol=1e-12)
-    np.testing.assert_allclose(one.memory, many.memory, atol=1e-12)
-
-
-def test_following_takes_whole_chunks_and_no_more_than_needed():
-    grid, chunk = sweep.GRID, sweep.GRID.chunk * sweep.GRID.spacing
-    tip = np.random.default_rng(0).uniform(-5, 5, 200)
-    origin = sweep.follow(np.full(200, 0.3), tip)
-    np.testing.assert_allclose((origin - 0.3) / chunk, np.rint((origin - 0.3) / chunk), atol=1e-9)
-    for o, t in zip(origin, tip):
-        walked = 0.3
-        while t - walked > grid.on:
-            walked += chunk
-        while t - walked < -grid.back:
-            walked -= chunk
-        assert o == pytest.approx(walked)
-
-
-def test_foremost_is_at_most_a_window_away():
-    """Back in the soil, and on in the air."""
-    back = np.array([[0.0, -0.03, 0], [0.3, -0.03, 0], [-0.4, -0.03, 0]])
-    assert run(back, np.zeros(2))[-1].foremost == pytest.approx(-0.4 + sweep.WINDOW)
-    air = np.array([[0.0, -0.03, 0], [0.1, -0.03, 0], [0.1, 0.2, 0], [2.0, 0.2, 0]])
-    state = run(air, np.zeros(3))[-1]
-    seen = dict(zip(sweep.SCALARS, sweep.scalars(state, np.zeros(2)).T))
-    assert state.foremost == pytest.approx(0.1)
-    np.testing.assert_allclose(seen['foremost'] - seen['tip'], -sweep.WINDOW, atol=1e-6)
-
-
-def test_a_move_of_path_and_terrain_changes_u_and_y_only():
-    by = np.array([2.7, -0.4, 0.0])
-    there = run(PATH + by, TURN, lambda u: ground(u - by[0]) + by[1])
-    for one, other in zip(run(PATH, TURN), there, strict=True):
-        level = np.zeros(2)
-        bins = sweep.channels(one, level), sweep.channels(other, level + by[1])
-        np.testing.assert_allclose(bins[1], bins[0], atol=1e-6)
-        own = sweep.scalars(one, level), sweep.scalars(other, level + by[1])
-        np.testing.assert_allclose(own[1], own[0], atol=1e-6)
-
-
 def test_a_frame_leaves_the_state_before_as_it_was():
     state = run(PATH[:4], TURN[:3])[-1]
     copies = [x.copy() for x in state]
@@ -277,10 +207,3 @@ def test_bad_input_is_refused():
         sweep.start(pose, lambda u: ground(u) * [[np.nan], [1]])
     with pytest.raises(ValueError, match='terrain'):
         sweep.advance(state, pose + 1.0, turn, radius, DT, lambda u: ground(u) * np.nan)
-
-
-def test_cones_are_those_of_the_definition():
-    values = np.random.default_rng(1).uniform(size=(2, 37)) ** 4
-    apart = np.abs(np.arange(37)[:, None] - np.arange(37))
-    expected = (values[:, None] - 0.05 * apart).max(axis=-1)
-    np.testing.assert_allclose(sweep.cone(values, 0.05), expected, atol=1e-15)
