@@ -12,7 +12,6 @@ from scipy.spatial.transform import Rotation
 
 import learning_to_simulate as lts
 from learning_to_simulate import api
-from tests.learning_to_simulate import models
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 
@@ -50,8 +49,7 @@ def test_lines_of_the_python_page(tmp_path, monkeypatch):
     monkeypatch.setattr(api, 'preset', lambda name, **fields: preset(name, **fields | short))
     assert lts.preset('pcg').num_steps == 2
     values = {}
-    with models.eagerly():
-        exec(code, values)
+    exec(code, values)
     assert values['frame'].status == values['rollout'].status == 'ok'
     assert {p.name for p in tmp_path.iterdir()} == {'dig.gif', 'dig.npz', 'my_model'}
     assert lts.load('my_model').config.latent_size == 32
@@ -116,8 +114,7 @@ def test_rover():
 @pytest.mark.slow
 def test_data_of_ones_own(tmp_path, capsys):
     settings = {'num_steps': 4, 'unroll_steps': 0, 'latent_size': 8}
-    with models.eagerly():
-        errors = _example('your_own_data').main(str(tmp_path / 'own'), **settings)
+    errors = _example('your_own_data').main(str(tmp_path / 'own'), **settings)
     assert errors.summary['mean']['model']['soil_mse'] > 0
     assert 'soil within the subspace, mean square' in capsys.readouterr().out
 

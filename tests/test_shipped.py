@@ -9,7 +9,6 @@ import pytest
 from learning_to_simulate import evaluation, presets, reading_utils, registry, shipped
 from learning_to_simulate.subspace import edge_lists
 from pca_tools import dataset
-from tests.learning_to_simulate import models
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 # Error of the soil in the subspace over that of the best trivial predictor, and relative L2 of the
@@ -27,8 +26,7 @@ def test_graph_network_keeps_its_promise(scene):
     folder = ROOT / 'models' / scene / 'pcg'
     opened = registry.open_model(str(folder), str(ROOT / 'datasets' / scene), 'valid')
     model, metadata, groups = opened.model, opened.metadata, opened.groups
-    with models.eagerly():
-        _, summary = evaluation.Evaluator(model, metadata).run(groups, 'valid')
+    _, summary = evaluation.Evaluator(model, metadata).run(groups, 'valid')
     mean = summary['mean']['model']
     soil, force = PROMISED[scene]
     assert summary['soil_mse_over_best_trivial'] <= soil
