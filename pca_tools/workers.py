@@ -103,16 +103,17 @@ class Workers:
         places = {future.key: index for index, future in enumerate(futures)}
         for future, value in as_completed(futures, with_results=True, raise_errors=False):
             index = places[future.key]
-            if future.status == 'finished':
-                yield Outcome(index, value)
-            elif future.status == 'error':
+            # A value that has come stays, though the worker that held it died since ('lost').
+            if future.status == 'error':
                 error = future.exception()
                 yield Outcome(index, None, f'{type(error).__name__}: {error}')
-            else:
+            elif future.cancelled():
                 raise OSError(
                     f'the cluster lost task {index} ({future.status}): its scheduler is gone; what '
                     'was finished is kept, the same command goes on'
                 )
+            else:
+                yield Outcome(index, value)
             future.release()
 
 

@@ -132,6 +132,7 @@ TESTS_OF_NO_ONE_MODULE = {
     'learning_to_simulate/subspace/test_left_out.py',
     'learning_to_simulate/subspace/test_numerics.py',
     'learning_to_simulate/native/test_ros2_node.py',
+    'mpm/motions/test_data_of_record.py',
     'reports/test_main.py',
 }  # fmt: skip
 

@@ -18,7 +18,6 @@ import tensorflow as tf
 
 from learning_to_simulate import presets, reading_utils, registry
 from learning_to_simulate.subspace import method
-from learning_to_simulate.subspace import trainer as trainer_module
 from learning_to_simulate.subspace.trainer import Trainer
 from learning_to_simulate.training import loop, training_state
 from pca_tools import dataset, files
@@ -254,22 +253,6 @@ def test_nan_loss_names_step_and_batch_and_keeps_the_last_good(tmp_path, train, 
         train(path)
     assert training_state.stored_steps(str(path)) == [4]
     assert all(np.isfinite(value).all() for value in weights(path).values())
-
-
-def test_named_batch_is_the_one_of_the_step(data):
-    """The windows of a step, gathered as training does, lie where `batch_of` says."""
-    trainer = make_trainer(data)
-    tensors = trainer._tensors[0]
-    named = trainer.batch_of(7)
-    seed = [trainer.config.seed * 8 + trainer_module._WINDOW_STREAM, 7]
-
-    @tf.function(jit_compile=True)
-    def gather(seed):
-        return tensors.windows(trainer.config.batch_size, 7, seed)[0]
-
-    offset = tf.reshape(tensors.offset, [tensors.n_run, tensors.n_frame, *tensors.offset.shape[1:]])
-    expected = [offset[record, start : start + 7] for record, start in named]
-    np.testing.assert_array_equal(gather(tf.constant(seed)), np.stack(expected))
 
 
 @pytest.mark.parametrize('what', ['weight', 'moment', 'average'])

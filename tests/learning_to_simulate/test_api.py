@@ -110,18 +110,6 @@ def test_recorded_runs_of_a_split_are_opened_once_and_those_of_a_new_dataset_ane
     assert not np.allclose(first.truth[0], second.truth[0], atol=1e-3)
 
 
-def test_path_is_drawn_without_a_truth(blade, tmp_path):
-    pytest.importorskip('matplotlib')
-    model, _, path = blade
-    rollout = model.rollout(path[:20])
-    rollout.render(str(tmp_path / 'dig.png'), step_stride=8)
-    assert (tmp_path / 'dig.png').stat().st_size > 10_000
-    with pytest.raises(ValueError, match='no truth'):
-        rollout.render(str(tmp_path / 'dig.png'), color_by='error')
-    with pytest.raises(ValueError, match='must end in'):
-        rollout.render(str(tmp_path / 'dig.bmp'))
-
-
 def test_jump_zeros_and_force_are_flagged_in_every_later_frame(blade):
     model, live, path = blade
     live.start(path[0], VELOCITY)
@@ -285,19 +273,6 @@ def test_trained_model_is_self_contained(tmp_path):
         file.write(b' ')
     with pytest.raises(ValueError, match='not the file of this model'):
         starts_lib.read(path)
-
-
-def test_what_is_printed_fits_on_a_line(blade):
-    model, live, path = blade
-    live.start(path[0], VELOCITY)
-    frame, rollout = live.step(path[1]), model.rollout(path[:8])
-    assert repr(frame).startswith(f'<frame: force {frame.force[0]:.4g}, ') and repr(frame).endswith(
-        'N, ok>'
-    )
-    assert repr(rollout) == "<rollout 'rollout': 7 frames, ok>"
-    assert repr(model) == f"<gns model {model.path!r} of the scene 'excavation'>"
-    data = lts.Dataset('excavation')
-    assert repr(data) == f"<dataset {data.path!r}: {{'train': 68, 'valid': 16, 'test': 31}}>"
 
 
 def test_public_names():

@@ -67,19 +67,6 @@ def test_a_straight_cut_has_the_area_of_its_swath():
     )
 
 
-def test_frames_between_change_nothing_but_the_velocity():
-    path = wandering_path(2)
-    middles = (path[:, :-1] + path[:, 1:]) / 2
-    fine = np.empty((1, 2 * path.shape[1] - 1, 2))
-    fine[:, ::2], fine[:, 1::2] = path, middles
-    coarse, fine = run(path), run(fine)
-    for name in ('profile', 'travelled', 'foremost', 'position'):
-        np.testing.assert_allclose(getattr(fine, name), getattr(coarse, name), atol=1e-12)
-    # A bin is reached within a frame; when exactly, the frame does not say.
-    longest = np.hypot(*np.diff(path[0], axis=0).T).max()
-    assert np.abs(fine.last - coarse.last).max() <= longest
-
-
 def test_distance_since_a_place_was_passed():
     """Forward through the soil, up, and on in the air: only what lay in the soil was passed."""
     y = SURFACE - 0.01
@@ -92,16 +79,6 @@ def test_distance_since_a_place_was_passed():
     assert state.foremost[0] == pytest.approx(0.1)
     assert state.velocity[0] == pytest.approx([0.2 / DT, 0.0])
     assert state.travelled[0] == pytest.approx(0.1 + 0.2 + 0.2)
-
-
-def test_a_bed_that_is_not_flat_is_only_cut_where_the_tool_goes():
-    bed = SURFACE + 0.03 * np.sin(20 * GRID.offsets)[None]
-    path = wandering_path(6)
-    state = run(path, surface=bed)
-    cut = run(path, surface=9.0).profile
-    assert (cut < bed).any() and (cut > bed).any()
-    np.testing.assert_allclose(state.profile, np.minimum(bed, cut), atol=1e-12)
-    np.testing.assert_array_equal(state.surface, bed)
 
 
 @pytest.mark.parametrize(

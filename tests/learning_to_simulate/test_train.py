@@ -93,7 +93,7 @@ def test_killed_training_resumes_to_the_same_weights(tmp_path):
     kill. The network that is compiled soonest, one stage and no validation."""
     data = synthetic.write_dataset(tmp_path / 'data')
     os.remove(dataset.split_path(data, 'valid'))
-    settings = {'latent_size': 4, 'num_steps': 2000, 'unroll_steps': 0}
+    settings = {'latent_size': 4, 'num_steps': 1000, 'unroll_steps': 0}
     path, straight = tmp_path / 'killed', str(tmp_path / 'straight')
     flags = ['--preset=mlp', *(f'--set={k}={v}' for k, v in settings.items())]
     args = (f'--data_path={data}', f'--model_path={path}', '--save_every=50', *flags)
@@ -107,7 +107,7 @@ def test_killed_training_resumes_to_the_same_weights(tmp_path):
     assert not (path / 'ckpt-1000.npz').exists()
     done = run(*args)
     assert done.returncode == 0 and 'resumed' in done.stdout, done.stderr
-    registry.train(data, straight, presets.make_config('mlp', **settings), save_every=2000)
+    registry.train(data, straight, presets.make_config('mlp', **settings), save_every=1000)
     for name, value in weights(straight).items():
         np.testing.assert_array_equal(weights(path)[name], value)
 

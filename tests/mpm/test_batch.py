@@ -98,23 +98,6 @@ def test_files_are_as_agreed(tmp_path, short):
     np.testing.assert_array_equal(*starts)  # the same soil, particle by particle
 
 
-def test_wheel_runs_carry_context_and_edges(tmp_path, short, monkeypatch):
-    monkeypatch.setattr('mpm.motions.grid.REST_FRAMES', 4)
-    make(tmp_path, 154, scene=small.WHEEL)
-    manifest = raw_run.read_manifest(str(tmp_path))
-    assert manifest['scene']['rigid_motion'] == 'driven'
-    assert len(manifest['scene']['rigid_edges']) == 32
-    context = manifest['runs'][0]['parameters']['context']
-    assert context == {'gravity': 3.72, 'friction_angle_deg': 30.0, 'load': 25.0}
-    run = raw_run.read_run(str(tmp_path / 'run_154.npz'))
-    # Prescribed: the axle's x and the turn of the points about it.
-    axle = run.rigid_positions.astype(np.float64).mean(axis=1)
-    np.testing.assert_allclose(np.diff(axle[:, 0]), -0.00585 / 60, atol=1e-7)
-    radius = run.rigid_positions[:, 0] - axle
-    angle = np.unwrap(np.arctan2(radius[:, 1], radius[:, 0]))
-    np.testing.assert_allclose(np.diff(angle), 0.78 / 60, atol=1e-5)
-
-
 def test_same_seed_same_bits_other_seed_other_soil(tmp_path, short):
     for name, seed in (('a', 0), ('b', 0), ('c', 1)):
         make(tmp_path / name, 22, seed=seed)

@@ -175,13 +175,6 @@ def test_wheel_points_and_edges(diameter, width):
         assert chord == pytest.approx(diameter * math.sin(math.pi / 8))
 
 
-def test_sample_points_turn_with_the_body():
-    wheel = bodies.make_wheel(0.3)
-    turned = bodies.sample_points(wheel, (1.0, 2.0, math.pi / 2, 0.2))
-    # A positive angle takes +x to +y.
-    np.testing.assert_allclose(turned[0], [1.0, 2.15, 0.2 + wheel.points[0, 2]], atol=1e-12)
-
-
 def test_bad_bodies_are_refused():
     with pytest.raises(ValueError, match='width'):
         bodies.make_blade(0.0)

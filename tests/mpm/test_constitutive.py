@@ -49,14 +49,6 @@ def test_relaxed_stress_solves_the_implicit_equation(p, excess, dt):
     assert relaxed(trial, p, dt) == pytest.approx(expected, rel=1e-11)
 
 
-def test_no_tension():
-    assert constitutive.pressure_of(0.0, SOIL.bulk_modulus) == 0.0
-    assert constitutive.pressure_of(0.5, SOIL.bulk_modulus) == 0.0
-    assert constitutive.pressure_of(-0.01, SOIL.bulk_modulus) == pytest.approx(
-        SOIL.bulk_modulus * 0.01 / 0.99, rel=1e-12
-    )
-
-
 def test_friction_lies_between_plane_strain_and_triaxial_compression():
     for angle in (30.0, 37.0, 43.0):
         sine = math.sin(math.radians(angle))
@@ -85,12 +77,6 @@ def test_elastic_constants():
 def test_bad_soil_is_refused(arguments, words):
     with pytest.raises(ValueError, match=words):
         constitutive.make_soil(*arguments)
-
-
-@pytest.mark.parametrize('angle', [0.0, 90.0, math.nan])
-def test_bad_friction_angle_is_refused(angle):
-    with pytest.raises(ValueError, match='friction angle'):
-        constitutive.friction_coefficient(angle)
 
 
 def test_rigid_rotation_turns_the_stress():

@@ -5,17 +5,8 @@ import pytest
 
 from mpm import columns, packing
 from mpm.experiments import Experiment
-from mpm.scenes import Bin
 from mpm.verification import bed
 from tests.mpm import small
-
-
-def test_block_without_gravity_stays_at_rest():
-    box = Bin((0.2, 0.1, 0.2), 0.02, 0.02, (10, 6, 10), 1, 0.3, ())
-    experiment = Experiment(box, box, small.SOIL)
-    start = experiment.particles[:, :3].copy()
-    experiment.advance(0.1, gravity=0.0)
-    np.testing.assert_array_equal(experiment.particles[:, :3], start)
 
 
 def test_settled_soil_rests_at_another_gravity():

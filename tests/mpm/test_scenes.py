@@ -39,16 +39,3 @@ def test_published_wheel_contexts():
         assert found == pytest.approx(values)
     small = scenes.WHEEL.parameters(122) | {'diameter_m': 0.05}
     assert scenes.wheel_load(small) == pytest.approx(164.0 / 9)
-
-
-@pytest.mark.parametrize('scene', scenes.SCENES.values(), ids=str)
-def test_mini_cases_are_spread(scene):
-    cases = scenes.mini_cases(scene)
-    assert len(set(cases)) == 40 and cases == scenes.mini_cases(scene)
-    assert set(scene.published) <= set(cases)
-    assert scene.demo_case not in cases
-    for name, values in scene.levels.items():
-        used = [scene.parameters(case)[name] for case in cases]
-        counts = [used.count(value) for value in values]
-        # The published ones are uneven; the rest evens it out.
-        assert min(counts) >= 0.7 * 40 / len(values), (name, counts)

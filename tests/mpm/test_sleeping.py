@@ -84,15 +84,6 @@ def test_sleeping_changes_little(made):
     assert np.sqrt(((on.positions() - off.positions()) ** 2).sum(axis=1).mean()) < 5e-4
 
 
-def test_looking_at_the_particles_changes_nothing(made):
-    watched, alone = made(), made()
-    seen = []
-    for _ in range(14):
-        seen.append(watched.frame()[0])
-        watched.particles.sum()
-    np.testing.assert_array_equal(seen, small.frames(alone, 14)[:, :3])
-
-
 def test_sleeping_soil_keeps_its_stress_and_its_place(made):
     simulation = made()
     small.frames(simulation, 9)  # it looked before the ninth and will before the thirteenth

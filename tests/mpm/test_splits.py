@@ -40,14 +40,6 @@ def test_grid_is_split_by_the_path_in_time(scene):
 
 
 @SCENES
-def test_kinds_take_turns(scene):
-    kinds = catalogue.TURNS[scene.name]
-    runs = splits.runs_of_kinds(scene, kinds)
-    first = [catalogue.parse(scene, case)[0] for case in runs[: len(kinds)]]
-    assert first == list(kinds)
-
-
-@SCENES
 def test_what_the_record_does_not_hold_has_no_split(scene):
     assert splits.split_of(scene, f'{catalogue.TURNS[scene.name][0]}_9000') is None
     assert splits.split_of(scene, 'path_mine') is None

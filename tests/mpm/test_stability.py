@@ -19,12 +19,6 @@ def test_limit_is_below_the_measured_onset_of_divergence(modulus, limit):
     assert 0.55 * limit < step < 0.8 * limit
 
 
-def test_wave_speed_is_that_of_the_elastic_solid():
-    modulus, nu = 1.5e6, 0.3
-    expected = math.sqrt(modulus * (1 - nu) / ((1 + nu) * (1 - 2 * nu) * SOIL.bulk_density))
-    assert stability.wave_speed(SOIL) == pytest.approx(expected, rel=1e-12)
-
-
 def test_too_long_a_step_is_refused_with_its_numbers():
     steps = stability.steps_in(1 / 60, SOIL, 0.01)
     stability.check_time_step(1 / 60 / steps, SOIL, 0.01)

@@ -163,15 +163,6 @@ def test_forces_are_those_of_the_new_stress(particles, dtype):
     np.testing.assert_allclose(moment, 0.0, atol=50 * near * scale)
 
 
-def test_volume_follows_the_divergence(particles):
-    block, nodes, _ = scatter(particles)
-    nodes.velocity[:] = 0.0
-    field(nodes.velocity)[..., 0] = 0.3 * places()[..., 0]
-    strain_and_force(block, nodes, GRID, 1e-3, VOLUME, SOIL, 0.0)
-    ratio = rows_of(block)[:, columns.VOLUME_RATIO] / particles[:, columns.VOLUME_RATIO]
-    np.testing.assert_allclose(ratio, 1.0003, rtol=1e-12)
-
-
 @pytest.mark.parametrize('axis', [0, 1, 2])
 @pytest.mark.parametrize('place', [-1.0, 5.0, np.nan, np.inf])
 def test_particle_off_the_grid_is_reported(particles, axis, place):

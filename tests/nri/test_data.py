@@ -84,15 +84,6 @@ def test_first_modes_and_the_lowest_rigid_particles_of_a_dataset(tmp_path):
     assert run.position[0, :4, 1].max() <= lowest.max()
 
 
-def test_digest_tells_data_apart(tmp_path):
-    one = data.load(small.write_springs(tmp_path / 'a'), 'train')
-    two = data.load(small.write_springs(tmp_path / 'b', n_objects=4), 'train')
-    same = data.load(small.write_springs(tmp_path / 'c'), 'train')
-    assert one.digest == same.digest != two.digest
-    folder = synthetic.write_dataset(tmp_path / 'd')
-    assert data.load(folder, 'train').digest == data.load(folder, 'test').digest
-
-
 def _overwrite(folder, name, array):
     np.save(f'{folder}/{name}_train_springs3.npy', array)
 

@@ -46,16 +46,6 @@ def test_energy_of_springs_does_not_drift_below_the_limit(stiffness):
     assert np.abs(last / first - 1).max() <= 0.01
 
 
-def test_above_the_limit_energy_explodes():
-    """What is refused is really unstable: 5 % above the limit of two objects."""
-    system = Springs(n_objects=2, dt=0.1, interaction_strength=1.0, box_size=1e30)
-    object.__setattr__(system, 'interaction_strength', 1.05 * 2.0 / 0.1**2)
-    start = np.array([[[0.1, 0.0], [-0.1, 0.0]]])
-    position, velocity = leapfrog(system, start, 0 * start, PAIR, 60, 20)
-    energy = [system.energy(position[:, t], velocity[:, t], PAIR)[0] for t in range(3)]
-    assert energy[2] > 1e3 * energy[0]
-
-
 @pytest.mark.parametrize(
     ('make', 'message'),
     [
@@ -126,15 +116,6 @@ def test_charges_keep_their_energy_through_close_encounters():
 
 
 SYSTEMS = pytest.mark.parametrize('make', [Springs, Charged])
-
-
-@SYSTEMS
-def test_two_identical_objects_stay_finite_and_together(make):
-    start = np.full((1, 2, 2), 0.3)
-    for sign in (1.0, -1.0):
-        found = leapfrog(make(n_objects=2), start, 0 * start, sign * PAIR, 50, 10)
-        for values, want in zip(found, (0.3, 0.0), strict=True):
-            np.testing.assert_array_equal(values, np.broadcast_to(want, values.shape))
 
 
 @SYSTEMS

@@ -9,7 +9,7 @@ import tensorflow as tf
 from nri import data, experiment
 from nri.config import NriConfig
 from nri.model import load_model
-from nri.training import LateDecay, Trainer
+from nri.training import Trainer
 from pca_tools import files
 from tests.learning_to_simulate import models, synthetic
 from tests.nri import small
@@ -113,13 +113,6 @@ def test_a_step_sees_the_window_of_its_sample(monkeypatch):
     np.testing.assert_array_equal(edges, held.edges[[1, 3]])
 
 
-def test_learning_rate_decays_late():
-    rate = LateDecay(config(learning_rate=0.1, decay=0.5, decay_start=3, decay_epochs=2), 10)
-    epochs = [0, 2.9, 3, 4.9, 5, 7]
-    got = [float(rate(int(10 * e))) for e in epochs]
-    np.testing.assert_allclose(got, [0.1, 0.1, 0.05, 0.05, 0.025, 0.0125], rtol=1e-5)
-
-
 @pytest.mark.parametrize(
     'settings',
     [
@@ -144,19 +137,6 @@ def test_every_variant_learns_and_its_gradients_reach_all_weights(settings):
         is_left = model.config.supervised and 'decoder' in variable.name
         if variable.name.endswith('w:0') and not is_left:
             assert (old != variable.numpy()).any(), variable.name
-
-
-def test_degenerate_data_stay_finite():
-    """Two objects; in some runs both the same, in some nothing moves."""
-    held = small.springs(n_run=16, n_objects=2)
-    held.features[4:8] = held.features[4:8, :1]
-    held.features[8:] = 0.0
-    model = small.model(held)
-    trainer = Trainer(model, held)
-    with models.eagerly():
-        for i in range(20):
-            assert np.isfinite(float(trainer.step(i)['loss']))
-        assert np.isfinite(model.edge_probabilities(held.features)).all()
 
 
 def test_modes_of_a_dataset_from_the_command_line(tmp_path):

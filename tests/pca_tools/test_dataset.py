@@ -103,14 +103,6 @@ def test_metadata_that_does_not_fit(tmp_path, changes, text):
         dataset.read_split(folder, 'train')
 
 
-def test_metadata_that_is_no_json_object(tmp_path):
-    folder = make_folder(tmp_path, [make_trajectory()], manifest=False)
-    for text, expected in (('{"dim": 3,', 'not a JSON file'), ('[1]', 'must be a JSON object')):
-        (tmp_path / 'metadata.json').write_text(text)
-        with pytest.raises(ValueError, match=expected):
-            dataset.read_metadata(folder)
-
-
 def test_buffers_of_the_wrong_size_and_nan_are_named(tmp_path):
     folder = make_folder(tmp_path, [make_trajectory()], manifest=False)
     path = f'{folder}/train.tfrecord'

@@ -333,18 +333,6 @@ def test_differing_particles_and_moving_walls_are_refused():
     assert mapping['context'] == {'load': 0.0} and len(mapping['step_context']) == 5
 
 
-@pytest.mark.parametrize('name', ['geoelements', 'lagrangebench', 'mpm_ngf', 'npz'])
-def test_damaged_files_are_named_and_leave_nothing(copied, tmp_path, name):
-    out = copied(name)
-    path = next(p for p in sorted(out.rglob('*')) if p.suffix in ('.npz', '.h5', '.csv'))
-    whole = path.read_bytes()
-    for damaged in (whole[: len(whole) // 2], b'', b'version https://git-lfs.github.com/spec/v1\n'):
-        path.write_bytes(damaged)
-        with pytest.raises((ValueError, OSError)):
-            import_data(str(out), str(tmp_path / 'raw'), dt=1 / 60, up_axis=1)
-        assert os.listdir(tmp_path) == [name]
-
-
 def test_links_out_of_an_hdf5_file_are_not_followed(copied, tmp_path):
     out = copied('lagrangebench')
     with h5py.File(f'{out}/train.h5', 'r+') as file:

@@ -49,14 +49,6 @@ def test_series_come_back_bit_for_bit(shape):
     assert again.tobytes() == values.tobytes()
 
 
-def test_smooth_motion_takes_few_bytes():
-    time = np.linspace(0, 1, 321)[:, None, None]
-    scores = np.sin(time * np.arange(1, 25)[:, None] + np.arange(3)).astype(np.float32)
-    assert len(packing.pack_positions(scores, 1e-6)) < scores.nbytes / 2
-    still = np.ones((321, 12), np.float32)
-    assert len(packing.pack_series(still)) < 200
-
-
 def test_damaged_bytes_are_refused_or_of_the_promised_shape():
     _, moved = wandering()
     for pack, unpack in (

@@ -72,16 +72,6 @@ def test_signs_and_order_of_rows_do_not_matter():
     assert fit(runs, 8).digest == space.digest
 
 
-def test_particles_that_never_move_are_kept_by_the_mean():
-    runs = make_runs()
-    for run in runs:
-        run[:, 10] = [0.1, 0.2, 0.3]
-    space = fit(runs, 6)
-    assert np.abs(space.components[10]).max() < 1e-14
-    back = space.decode(space.encode(runs[0]))
-    np.testing.assert_allclose(back[:, 10], np.tile([0.1, 0.2, 0.3], (20, 1)), atol=1e-15)
-
-
 @pytest.mark.parametrize('memory', [1024, COVARIANCE_MB])
 def test_more_modes_than_rank(memory):
     with pytest.raises(ValueError, match='asked for 13 modes, data rank is 12'):

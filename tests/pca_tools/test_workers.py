@@ -1,6 +1,8 @@
 """Workers with real processes: killed ones, failing tasks, a dying scheduler, equal results."""
 
 import os
+import signal
+import time
 
 import numpy as np
 import pytest
@@ -101,3 +103,16 @@ def test_a_killed_worker_costs_its_task_only(dask, tmp_path):
     outcomes = values(dask, jobs.dies_once, [(n, str(tmp_path)) for n in range(8)])
     assert [o.value for o in outcomes] == [n**2 for n in range(8)]
     assert (tmp_path / 'died').exists()
+
+
+def test_what_has_come_stays_when_its_worker_dies(dask):
+    outcomes = dask.run(jobs.who_and_square, range(6))
+    first = next(outcomes).value
+    while not all(dask.client.futures[key].status == 'finished' for key in dask.client.futures):
+        time.sleep(0.05)
+    time.sleep(0.5)  # all values are here
+    os.kill(first[0], signal.SIGKILL)
+    while all(state.status == 'finished' for state in dask.client.futures.values()):
+        time.sleep(0.005)
+    found = [first, *(outcome.value for outcome in outcomes)]
+    assert sorted(square for _, square in found) == [n**2 for n in range(6)]

@@ -39,11 +39,6 @@ def test_calls_take_turns_after_their_warm_up_and_may_time_themselves(clock):
     assert not len(found['many'].processor)
 
 
-def test_a_clock_that_stands_still_is_refused(clock):
-    with pytest.raises(ValueError, match='a: times are positive'):
-        timing.in_turns({'a': timing.Job(lambda: None)}, 1)
-
-
 class Live:
     """A stepper that remembers where it was, and takes 1 s a step and 2 s for its particles."""
 

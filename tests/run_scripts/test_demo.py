@@ -11,13 +11,6 @@ from tests.pca_tools.commands import run_command
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 
 
-def test_demo_table_leaves_out_what_a_row_lacks():
-    text = demo.table('wheel', 7, [{'method': 'solver', demo.PARTICLES: 12.0}])
-    title, _, _, row = text.splitlines()
-    cells = [cell.strip() for cell in row.strip('|').split('|')]
-    assert title == 'wheel, 7' and cells == ['solver', '-', '-', '-', '-', '12']
-
-
 @pytest.mark.parametrize(
     ('arguments', 'message'),
     [

@@ -3,7 +3,6 @@
 import csv
 import pathlib
 import re
-import tomllib
 
 import pytest
 
@@ -56,11 +55,6 @@ def test_extras_are_those_of_setup():
     assert "'cpu': ['tensorflow-cpu" in text
     assert verified_install.extras()[:2] == ['cpu', 'gpu']
     assert 'cluster' in verified_install.extras() and len(verified_install.extras()) >= 8
-
-
-def test_build_system_is_stated():
-    stated = tomllib.loads((ROOT / 'pyproject.toml').read_text())['build-system']
-    assert stated['build-backend'] == 'setuptools.build_meta' and stated['requires']
 
 
 def test_every_package_has_its_licence_listed():

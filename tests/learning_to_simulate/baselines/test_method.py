@@ -81,17 +81,6 @@ def test_damaged_folders_are_refused(trained, tmp_path, damage):
         method_lib.load(str(copy))
 
 
-def test_foreign_folders_and_settings_are_refused(trained, tmp_path):
-    data, model = trained
-    (tmp_path / 'notes.txt').write_text('x')
-    with pytest.raises(ValueError, match='not a model folder'):
-        registry.train(data, str(tmp_path), presets.make_config('path_ridge'))
-    with pytest.raises(ValueError, match='contradicts'):
-        method_lib.open_model(model, data, 'test', {'max_samples': 5})
-    with pytest.raises(ValueError, match='max_samples'):
-        presets.make_config('path_ridge', max_samples=0)
-
-
 def test_a_fit_to_the_valid_runs_says_that_they_judge_no_more(trained, tmp_path, capsys):
     config = presets.make_config('path_ridge_few_runs', max_samples=60)
     registry.train(trained[0], str(tmp_path / 'model'), config)

@@ -216,26 +216,6 @@ def test_training_learns_resumes_and_refuses(folders, tmp_path):
         particles.open_model(path, folder, 'test', {'noise_std': 0.3})
 
 
-@pytest.mark.parametrize(
-    ('name', 'value'),
-    [
-        ('force_std', None),
-        ('velocity_std', [[0.0] * 3] * 2),
-        ('low', [0.0, float('inf'), 0.0]),
-        ('acceleration_std', [1.0]),
-        ('context_mean', [1.0]),
-    ],
-)
-def test_damaged_statistics_are_refused(folders, tmp_path, name, value):
-    model, group = make(*folders['excavation'])
-    checkpoints.save_config(str(tmp_path), model, group.n_rigid, {})
-    values = checkpoints.read_config(str(tmp_path))
-    values['statistics'][name] = value
-    (tmp_path / checkpoints.CONFIG_FILE).write_text(json.dumps(values))
-    with pytest.raises(ValueError, match=f'config.json: .*statistics.{name}'):
-        particles.load(str(tmp_path))
-
-
 def test_bad_data_is_refused(folders, tmp_path):
     folder, raw = folders['excavation']
     metadata = dataset.read_metadata(folder)

@@ -14,7 +14,7 @@ import pytest
 
 from learning_to_simulate.export import __main__ as export_command
 from learning_to_simulate.export import exporting
-from learning_to_simulate.native import agreement, fmu, library, project
+from learning_to_simulate.native import agreement, library, project
 from learning_to_simulate.native.binding import CSubspace
 from tests.learning_to_simulate import models
 from tests.learning_to_simulate.native import worlds
@@ -138,13 +138,6 @@ def test_without_a_compiler_nothing_is_compared_and_with_a_bad_one_nothing_is_wr
     with pytest.raises(ValueError, match='false .* failed'):
         exporting.export(*saved, out + '2', kind)
     assert not os.path.exists(out + '2')
-
-
-def test_an_fmu_whose_own_sources_do_not_compile_is_not_kept(small, tmp_path, monkeypatch):
-    monkeypatch.setenv('CC', 'false')
-    with pytest.raises(library.CompileFailed):
-        fmu.write(str(tmp_path / 'small.fmu'), 'lts_small', small)
-    assert not os.path.exists(tmp_path / 'small.fmu')
 
 
 def test_names_of_models_are_not_those_of_the_library(small, tmp_path):

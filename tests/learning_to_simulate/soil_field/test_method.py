@@ -91,19 +91,6 @@ def test_a_training_goes_on_from_the_same_first_weights_alone(model, folders, tm
         own(folders[0], path, lts.preset('mlp'), initial_weights=model.path)
 
 
-def test_a_signal_ends_a_training_after_the_step_at_hand(model, folders, tmp_path):
-    saved = method.Saved(str(tmp_path), {}, every=100)
-
-    class Stop:
-        number, exit_code = 15, 143
-
-    saved.stop = Stop()
-    with pytest.raises(SystemExit) as ended:
-        saved.keep('load', 3, False, [np.ones(2)], [])
-    assert ended.value.code == 143
-    assert files.read_npz(str(tmp_path / 'training.npz'))['load/step'] == 3
-
-
 def test_evaluations_of_several_datasets_are_one(model, folders):
     splits = [lts.Dataset(folder).test for folder in folders]
     whole = model.evaluate(splits)

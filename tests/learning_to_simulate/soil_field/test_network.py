@@ -223,24 +223,6 @@ def test_in_the_air_there_is_no_load_and_soil_rests(name):
     assert not ask(nets.displacement, stacked(frames), strip, places).any()
 
 
-def test_soil_that_nothing_has_reached_rests_to_the_last_bit(name):
-    nets, strip, (frame,) = scene(name, frames=(-1,))
-    half, tip = TOOLS[name].width / 2 / TOOLS[name].scale, frame.scalars[0, 0, 0]
-    far = np.float32([[tip, -0.01, half + 0.301], [tip, -0.01, -half - 0.301], [tip, -0.5, 0.0],
-                      [tip + 0.44, 0.0, 0.0]])[None]  # fmt: skip
-    assert not ask(nets.displacement, frame, strip, far).any()
-    risen = ask(nets.rise, frame, strip, far[..., [0, 2]])[:, 0]
-    assert not risen[:, [0, 1, 3]].any() and risen[:, 2].all()
-
-
-def test_networks_differ():
-    """Members, networks, seeds."""
-    one, other = made('wheel'), network.SoilNetworks(Wheel, 2, 1, HIDDEN)
-    first = [part.layers[0][0].numpy() for part in (one.load, one.surface, one.soil)]
-    corners = [w[m, 0, 0] for w in (*first, 0.5 * other.load.layers[0][0].numpy()) for m in (0, 1)]
-    assert len(set(corners)) == 8
-
-
 @pytest.mark.parametrize('tool', [Blade, Wheel])
 def test_weights_of_a_model_take_at_most_400_kb(tool):
     members = settings.PRESETS['soil_field'].members

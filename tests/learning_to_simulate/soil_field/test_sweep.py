@@ -121,19 +121,6 @@ def test_influence_and_disturbed_are_cones():
     assert 0 < (influence == 0).sum() < influence.size
 
 
-def test_a_path_in_two_calls_equals_one():
-    middle = (PATH[:-1] + PATH[1:]) / 2
-    fine = np.empty((2 * len(PATH) - 1, 3))
-    fine[::2], fine[1::2] = PATH, middle
-    one, two = run(PATH, TURN)[-1], run(fine, np.repeat(TURN / 2, 2))[-1]
-    for name in ('profile', 'memory', 'travelled', 'way', 'pose', 'origin'):
-        np.testing.assert_allclose(getattr(two, name), getattr(one, name), atol=1e-14)
-    # When within a frame the tool passes a bin or leaves the soil, the frame does not say.
-    longest = np.linalg.norm(np.diff(PATH[:, :2], axis=0), axis=1).max()
-    assert np.abs(two.last - one.last).max() <= longest
-    assert np.abs(two.foremost - one.foremost).max() <= longest
-
-
 def test_a_tool_that_halts_keeps_its_memory_and_one_that_turns_back_forgets():
     path = np.array([[0.0, -0.03, 0.0], [0.1, -0.03, 0.0], [0.1, -0.03, 0.0], [0.095, -0.03, 0.0]])
     states = run(path, np.zeros(3))
@@ -185,14 +172,6 @@ def test_ten_metres_there_and_back_in_a_ring_equal_bins_without_end():
     assert len(calls) == pytest.approx(10 / 0.1, abs=3)
     tips = np.array([s.tip[0] - s.origin[0] for s in ring])
     assert tips.min() >= -sweep.GRID.back - 1e-9 and tips.max() <= sweep.GRID.on + 1e-9
-
-
-def test_a_frame_leaves_the_state_before_as_it_was():
-    state = run(PATH[:4], TURN[:3])[-1]
-    copies = [x.copy() for x in state]
-    sweep.advance(state, rows(PATH[5:6])[0], TURN[:2], np.full(2, RADIUS), DT, ground)
-    for now, before in zip(state, copies):
-        np.testing.assert_array_equal(now, before)
 
 
 def test_bad_input_is_refused():

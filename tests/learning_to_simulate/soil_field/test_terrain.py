@@ -45,13 +45,6 @@ def test_maps_of_one_row(shape):
     np.testing.assert_allclose(found, terrain.heights, atol=1e-14)
 
 
-def test_level_ground_is_level_to_the_last_bit():
-    terrain = Terrain.flat((1.0, 0.5), 0.1234567, cell=(0.03, 0.07), corner=(-0.2, 0.1))
-    assert terrain.shape == (33, 7) and terrain.floor == pytest.approx(-0.8765433)
-    assert (terrain.at(*RNG.uniform(-1, 2, (2, 500))) == 0.1234567).all()
-    assert terrain.volume == pytest.approx(33 * 0.03 * 7 * 0.07 * 0.1234567)
-
-
 def test_a_copy_and_a_file_hold_everything(tmp_path):
     terrain = rough(soil=Soil(31.0, 1500.0, 1.6), floor=-9.0, walled=True)
     path = str(tmp_path / 'terrain.npz')

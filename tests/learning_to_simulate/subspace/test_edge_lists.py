@@ -152,17 +152,6 @@ def test_foreign_files_are_refused(tmp_path, name, content, message):
         read(str(tmp_path / 'gone'))
 
 
-@pytest.mark.parametrize(
-    'array',
-    [np.zeros((3, 4)), np.full((3, 3), 2), np.zeros(9), np.full(4, 'a'), np.zeros((2, 2), 'O')],
-)
-def test_masks_of_another_kind_are_refused(tmp_path, array):
-    """An .npy of anything else: not square, not 0 and 1, text, Python objects."""
-    np.save(tmp_path / 'a.npy', array)
-    with pytest.raises(ValueError, match='square|plain .npy'):
-        edge_lists.read_mask(str(tmp_path / 'a.npy'))
-
-
 def test_edges_of_another_dataset_are_refused(data, tmp_path):
     other = synthetic.write_dataset(tmp_path / 'other', n_run=3)
     edges = edge_list(n=R, digests={'model': None} | edge_lists.data_digests(other))

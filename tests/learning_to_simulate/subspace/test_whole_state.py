@@ -119,10 +119,3 @@ def test_training_resumes_and_rolls_out(tmp_path):
 def test_impossible_choices_are_refused(preset, fields, words):
     with pytest.raises(ValueError, match=words):
         presets.make_config(preset, **fields)
-
-
-def test_a_model_names_its_preset():
-    assert presets.preset_of_model('mixer_se') == 'mixer_se'
-    assert presets.preset_of_model(None) == presets.preset_of_model('gns') == 'pcg'
-    with pytest.raises(ValueError, match='unknown model'):
-        presets.preset_of_model('lstm')

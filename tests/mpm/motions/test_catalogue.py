@@ -1,8 +1,5 @@
 """What an id means, and what holds for the motions of all kinds."""
 
-import hashlib
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -141,23 +138,3 @@ def test_motions_fit_into_their_bin_and_are_smooth(name, kind):
         for values in (velocity,) if kind in QUICK else (velocity, acceleration):
             jump = np.abs(np.diff(values, axis=0)).max(axis=0)
             assert (jump <= 0.2 * np.abs(values).max(axis=0) + 1e-9).all()
-
-
-def _digest(drawn):
-    motion = drawn.motion
-    parameters = repr((motion.parameters, motion.ground)).encode()
-    return hashlib.sha256(drawn.whole.tobytes() + parameters).hexdigest()
-
-
-def test_motions_are_functions_of_kind_and_seed():
-    """In another process as well; no two are the same."""
-    kinds = [(name, kind) for name, kind in KINDS if kind != 'tools']
-    code = (
-        'from tests.mpm.motions.test_catalogue import KINDS, _digest, catalogue, scenes, small\n'
-        'small.range = lambda count: (3,)\n'
-        f'for name, kind in {kinds}: print(_digest(small.drawn(name, kind)[0]))\n'
-    )
-    done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True, check=True)
-    for (name, kind), there in zip(kinds, done.stdout.split(), strict=True):
-        digests = [_digest(drawn) for drawn in small.drawn(name, kind)]
-        assert digests[3] == there and len(set(digests)) == len(digests), kind

@@ -9,30 +9,6 @@ from mpm import bodies
 from mpm.motions import drawn_tools
 
 
-def drawn(seed):
-    return drawn_tools.draw(np.random.default_rng(seed))
-
-
-def test_blades_and_buckets_lie_within_their_limits():
-    tools = [drawn(seed) for seed in range(100)]
-    assert all(bodies.check_tool(tool) == tool for tool in tools)
-    blades = [tool for tool in tools if tool['name'] == 'blade']
-    buckets = [tool for tool in tools if tool['name'] == 'bucket']
-    assert len(blades) + len(buckets) == 100 and 45 < len(blades) < 75
-    assert 0.25 < np.mean(['side_plates' in tool for tool in buckets]) < 0.75
-    for found, (low, high) in (
-        ([tool['width'] for tool in tools], drawn_tools.WIDTHS),
-        ([tool['edge_radius'] for tool in blades], drawn_tools.EDGE_RADII),
-        (
-            [tool['outline'][1][1] + 2 * tool['edge_radius'] for tool in blades],
-            drawn_tools.BLADE_HEIGHTS,
-        ),
-    ):
-        assert low - 1e-3 <= min(found) < low + 0.15 * (high - low)
-        assert high - 0.15 * (high - low) < max(found) <= high + 1e-3
-    assert drawn(7) == drawn(7) != drawn(8)
-
-
 @pytest.mark.parametrize('radius', drawn_tools.BUCKET_RADII)
 @pytest.mark.parametrize('has_plates', [True, False])
 def test_a_bucket_is_hollow_and_open_to_the_front(radius, has_plates):

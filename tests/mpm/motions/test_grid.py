@@ -37,24 +37,6 @@ def test_published_blade_motion():
     assert path[1, 0] - path[0, 0] == pytest.approx(0.5672 - 0.7005, abs=1e-4)
 
 
-@pytest.mark.parametrize(('slip', 'ratio'), [(20, 0.2), (40, 0.385), (70, 0.7)])
-@pytest.mark.parametrize('diameter', [0.05, 0.15, 0.3])
-def test_wheel_slips_as_much_as_it_says(slip, ratio, diameter):
-    parameters = scenes.WHEEL.parameters(122) | {'slip_percent': slip, 'diameter_m': diameter}
-    drive = grid.make_drive(scenes.WHEEL, parameters)
-    first, second = drive.pose(np.array([0.0, 1.0]))
-    travel, turn = first[0] - second[0], second[2] - first[2]
-    assert 1 - travel / (turn * diameter / 2) == pytest.approx(ratio, abs=0.001)
-
-
-@pytest.mark.parametrize('scene', scenes.SCENES.values(), ids=str)
-def test_pose_rests_before_time_zero(scene):
-    drive = grid.make_drive(scene, scene.parameters(scene.demo_case))
-    poses = drive.pose(np.array([-0.8, -0.01, 0.0, 0.5]))
-    np.testing.assert_array_equal(poses[:2], poses[[2, 2]])
-    assert (poses[3] != poses[2]).any()
-
-
 def test_blade_leans_back_by_its_angle():
     parameters = scenes.EXCAVATION.parameters(1) | {'angle_deg': 30.8}
     drive = grid.make_drive(scenes.EXCAVATION, parameters)

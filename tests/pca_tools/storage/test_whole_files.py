@@ -1,7 +1,6 @@
 """Whole files and folders under attack: threads, links, long names, mounts, kills."""
 
 import contextlib
-import json
 import os
 import pathlib
 import signal
@@ -220,15 +219,6 @@ def test_kill_while_results_are_replaced_never_mixes_them(tmp_path):
         assert (folder / 'run_1').read_text() == 'new'
 
 
-def test_what_is_written_is_read_again_by_another_reader(tmp_path):
-    path = tmp_path / 'a.json'
-    content = {'text': 'depth 5 \N{GREEK SMALL LETTER MU}m', 'rows': [1.5, None, True]}
-    for indent in (0, 2):
-        whole_files.write_json(str(path), content, indent)
-        assert json.loads(path.read_bytes()) == content
-        assert path.read_bytes().endswith(b'}\n')
-
-
 @pytest.mark.parametrize('value', [float('nan'), float('inf'), -float('inf')])
 def test_a_number_that_json_does_not_have_is_refused_and_the_old_file_stays(tmp_path, value):
     path = tmp_path / 'a.json'
@@ -237,9 +227,3 @@ def test_a_number_that_json_does_not_have_is_refused_and_the_old_file_stays(tmp_
         whole_files.write_json(str(path), {'a': [value]})
     assert path.read_text() == 'old'
     assert [file.name for file in tmp_path.iterdir()] == ['a.json']
-
-
-def test_line_ends_stay_as_they_are(tmp_path):
-    path = tmp_path / 'a.txt'
-    whole_files.write_text(str(path), 'a\nb\r\n')
-    assert path.read_bytes() == b'a\nb\r\n'
