@@ -8,7 +8,9 @@ import tensorflow as tf
 
 from learning_to_simulate import known_shapes
 from learning_to_simulate.subspace import subspace_model
+from nri import model as nri_model
 from tests.learning_to_simulate import models
+from tests.nri import small
 
 
 @pytest.fixture
@@ -59,6 +61,30 @@ def test_loading_leaves_the_random_numbers_of_the_caller_alone(folder, monkeypat
     """Setting TensorFlow's seed also throws all its kernels away: half of the time of a load."""
     monkeypatch.setattr(tf.random, 'set_seed', lambda seed: pytest.fail(f'seed {seed} was set'))
     subspace_model.load(str(folder))
+
+
+@pytest.mark.parametrize(
+    ('part', 'forged', 'reason'),
+    [
+        ('config', {'hidden': 2**40}, 'hidden is'),
+        ('config', {'hidden': 4096}, 'not the weights'),
+        ('config', {'window': 5000}, 'not the weights'),
+        ('config', {'hidden': 'x'}, 'hidden is'),
+        ('config', {'symmetric': 'yes'}, 'symmetric is'),
+        ('', {'node_names': ['n'] * 3000}, '3000 node names'),
+        ('', {'scale': [[0.0] * 4]}, 'no finite normalisation'),
+        ('', {'offset': 'x'}, 'could not convert'),
+    ],
+    ids=str,
+)
+def test_nri_models_are_held_to_their_weights(tmp_path, made, part, forged, reason):
+    small.model(small.springs()).save(str(tmp_path))
+    whole = sum(tf.TensorShape(shape).num_elements() for shape in made)
+    made.clear()
+    change(tmp_path, part, **forged)
+    with pytest.raises(ValueError, match=reason):
+        nri_model.load_model(str(tmp_path))
+    assert sum(tf.TensorShape(shape).num_elements() for shape in made) <= whole
 
 
 def test_each_shape_is_made_as_often_as_it_is_there():
