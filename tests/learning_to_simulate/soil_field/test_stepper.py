@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from learning_to_simulate.live.poses import turned
 from learning_to_simulate.soil_field import network
-from learning_to_simulate.soil_field.place import place_of, turned
+from learning_to_simulate.soil_field.place import place_of
 from learning_to_simulate.soil_field.stepper import SoilStepper
 from learning_to_simulate.soil_field.terrain import Terrain
 from learning_to_simulate.soil_field.tools import Wheel
