@@ -120,6 +120,14 @@ class LoadedTool:
         Raises:
           ValueError: see `SoilStepper.step`; the tool and its velocity stay as they were.
         """
+        force = np.asarray(force, np.float64)
+        if force.shape != (3,) or not np.isfinite([*force, torque]).all():
+            raise ValueError(
+                f'force is {force} N, torque {torque} N m: three finite numbers and one were '
+                f'expected'
+            )
+        if not 0 < dt < np.inf:
+            raise ValueError(f'dt is {dt} s: time must go on')
         stepper, place = self._stepper, self._stepper.place
         last = self._coordinates(stepper.frame.pose)
         target = self._coordinates(np.asarray(pose, np.float64))

@@ -42,7 +42,8 @@ class SoilStepper:
         kind = field.networks.tool
         self.tool = kind() if tool is None else tool
         if not isinstance(self.tool, kind):
-            raise ValueError(f'the model knows a {kind.name}, not a {self.tool.name}')
+            given = getattr(self.tool, 'name', type(self.tool).__name__)
+            raise ValueError(f'the model knows a {kind.name}, not a {given}')
         if members is not None and not 1 <= members <= field.networks.members:
             raise ValueError(f'members is {members}, must lie in [1, {field.networks.members}]')
         self.field, self.terrain = field, terrain

@@ -28,6 +28,8 @@ class Terrain:
     """
 
     def __init__(self, heights, cell=CELL, corner=(0.0, 0.0), soil=None, floor=None, walled=False):
+        if np.iscomplexobj(heights):
+            raise ValueError('heights are complex numbers, m were expected')
         self._heights = np.array(heights, np.float64, order='C')  # `write` needs a flat view
         self._works: list = []  # weak references to what changes heights on being asked
         self.works_in_python = False  # whether some of that is unknown to the C library
@@ -35,6 +37,8 @@ class Terrain:
         self.corner = np.asarray(corner, np.float64)
         self.soil = Soil() if soil is None else soil
         self.walled = bool(walled)
+        if not isinstance(self.soil, Soil):
+            raise ValueError(f'soil is {soil!r}: lts.Soil(...) was expected')
         if self._heights.ndim != 2 or not self._heights.size:
             raise ValueError(f'heights have shape {self._heights.shape}, [nx, nz] was expected')
         if not np.isfinite(self.heights).all():

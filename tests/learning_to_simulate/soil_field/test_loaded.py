@@ -187,3 +187,23 @@ def test_it_rests_on_the_floor_where_no_soil_bears_it():
     assert soil.coordinates[1] > -0.9 + 2 * ABOVE_FLOOR
     tool.step(REST, (0.0, -9 * MASS * G, 0.0), dt=DT)  # it still rises; and is pressed back
     assert soil.coordinates[1] == pytest.approx(-0.9 + ABOVE_FLOOR)
+
+
+@pytest.mark.parametrize(
+    'given, message',
+    [
+        ({'force': (0.0, np.nan, 0.0)}, 'force is'), ({'force': (0.0, 1.0)}, 'force is'),
+        ({'force': 5.0}, 'force is'), ({'torque': np.nan}, 'torque nan'),
+        ({'dt': np.nan}, 'dt is nan s'), ({'dt': 0.0}, 'dt is 0.0 s'),
+    ],
+)  # fmt: skip
+def test_loads_and_times_that_cannot_be_are_refused_and_change_nothing(given, message):
+    soil = Springs(np.diag([0.0, 2e5, 0.0]))
+    tool, twin = LoadedTool(soil, MASS), LoadedTool(other := Springs(soil._k), MASS)
+    for one in (tool, twin):
+        one.step(REST, dt=DT)
+    with pytest.raises(ValueError, match=message):
+        tool.step(REST, **({'dt': DT} | given))
+    for one in (tool, twin):
+        one.step(REST, dt=DT)
+    np.testing.assert_array_equal(soil.coordinates, other.coordinates)

@@ -188,6 +188,8 @@ def test_the_wall_ahead_is_where_a_walk_leaves_the_map(yaw, u):
         ((np.zeros((2, 2)), 0.1, (0.0, 0.0, 0.0)), 'corner'),
         ((np.zeros((2, 2)), 0.1, (0.0, 0.0), None, 0.1), 'floor'),
         ((np.zeros((2, 2)), 0.1, (0.0, 0.0), None, np.nan), 'floor'),
+        ((np.zeros((2, 2)), 0.1, (0.0, 0.0), 'sand'), r"soil is 'sand': lts.Soil"),
+        ((np.full((2, 2), 1 + 1j),), 'complex'),
     ],
 )
 def test_what_is_no_terrain_is_refused(arguments, message):
