@@ -22,6 +22,7 @@ from learning_to_simulate import evaluation, registry
 from learning_to_simulate.export import exporting
 from learning_to_simulate.native import exporting as exporting_c
 from learning_to_simulate.native import library
+from learning_to_simulate.rollout_status import Judgement, RolloutStatus
 from learning_to_simulate.training import loop
 from mpm import raw_run, scenes
 from pca_tools import convert, files
@@ -103,7 +104,7 @@ def _save_results(folder):
         )  # fmt: skip
         rollout = types.SimpleNamespace(
             position=nodes[:, 6:], force=rng.normal(size=(1, small.FRAMES - 6, 3)),
-            judgements=[('ok', -1, -1, '')],
+            judgements=[Judgement(RolloutStatus.OK)],
         )  # fmt: skip
         results = [(i, group, rollout) for i in range(count)]
         evaluation.save_rollouts(path, 'test', results, {'seed': seed}, {}, f'{seed:064d}')
