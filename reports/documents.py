@@ -17,9 +17,11 @@ import importlib
 import os
 import re
 import subprocess
+from collections import Counter
 
-from pca_tools import files
-from reports import command
+from pca_tools import dataset, files
+from pca_tools.metadata import SPLITS
+from reports import command, markdown
 from reports.record import ROOT
 
 NAMED = re.compile(r'<!-- table: ([\w.]+):(\w+)((?: [^\s>]+)*) -->\n((?:.+\n)*)')
@@ -54,6 +56,19 @@ def names() -> list[str]:
         capture_output=True, text=True, check=True,
     )  # fmt: skip
     return done.stdout.splitlines()
+
+
+def runs(*paths: str) -> str:
+    """Of each dataset its runs by split, and their kinds."""
+    rows = []
+    for path in paths:
+        cases = dataset.read_metadata(path)['cases']
+        kinds = Counter(run['kind'] for of in cases.values() for run in of)
+        rows.append([
+            f'`{os.path.basename(path)}`', *(len(cases[split]) for split in SPLITS),
+            ', '.join(f'{kind} {count}' for kind, count in sorted(kinds.items())),
+        ])  # fmt: skip
+    return markdown.table(['dataset', *SPLITS, 'of each kind'], rows)
 
 
 def main(_, arguments) -> None:

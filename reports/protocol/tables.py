@@ -75,6 +75,23 @@ def _cell(figure, key, ranges):
     return f'median {show(figure["median"])}' if None in figure['mean'] else show(figure['mean'])
 
 
+def in_short(blade: str, wheel: str) -> str:
+    """One line: by how much the soil fields of two documents are off."""
+    of_blade, of_wheel = (judge.read(p)['summary']['all']['soil field'] for p in (blade, wheel))
+
+    def figure(found, key='mean'):
+        key = 'median' if None in found[key] else key
+        return np.mean([value for value in found[key] if value is not None])
+
+    force = 100 * figure(of_blade['force_relative_l2'])
+    drawbar = 100 * figure(of_wheel['drawbar_relative_l2'], 'median')
+    return (
+        f"- **How far off**: a blade's force by {force:.0f} %, its soil by "
+        f"{figure(of_blade['soil_mm']):.1f} mm; a wheel's drawbar by {drawbar:.0f} % (median), its "
+        f'soil by {figure(of_wheel["soil_mm"]):.1f} mm.'
+    )
+
+
 def kinds(path: str, name: str = 'soil field') -> str:
     """Means of one method by kind of run."""
     document = judge.read(path)

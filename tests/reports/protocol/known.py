@@ -23,12 +23,13 @@ def document() -> dict:
             'errors': {
                 'soil_mm': [1.0, 2.0, 9.0], 'force_relative_l2': [0.1, 0.3, 0.5],
                 'bound_kept': [1.0, 0.94, None], 'bound_newton': [10.0, 20.0, None],
-                'near_95_mm': [3.0, 4.0, 5.0],
+                'near_95_mm': [3.0, 4.0, 5.0], 'drawbar_relative_l2': [0.1, 0.4, 0.5],
             },
         },
         {
             'seed': 1, 'errors': {
                 'soil_mm': [2.0, None, 18.0], 'force_relative_l2': [0.2, None, 0.5], 'refused': [1],
+                'drawbar_relative_l2': [0.2, None, 0.5],
             },
         },
     ]  # fmt: skip

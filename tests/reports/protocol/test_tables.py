@@ -44,3 +44,9 @@ def test_what_ships_stands_beside_persistence(path):
     found = rows(tables.shipped(path))
     assert found['`excavation/mlp_driven`'][1:] == ['2.5', '1']
     assert found['*excavation: persistence*'] == ['soil and force stay', '3', '1']
+
+
+def test_one_line_says_how_far_off_the_fields_are(path):
+    """Medians where a run was refused."""
+    found = tables.in_short(path, path)
+    assert "force by 20 %, its soil by 1.5 mm; a wheel's drawbar by 25 % (median)" in found
