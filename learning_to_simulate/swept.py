@@ -1,7 +1,8 @@
-"""What a circle has swept of a bounded bed, for baselines and networks in the subspace.
+"""What a circle has swept: a step of it, for all, and the state of a bounded bed, for baselines and
+networks in the subspace.
 
 A tool is reduced to a circle that moves in the plane of travel: the round lower edge of a blade, or
-the rim of a wheel. Bins along the way remember how deep it has been: (1) to (5) of
+the rim of a wheel. Bins along the way remember how deep it has been: (1) to (6) of
 docs/soil_field.md, with all bins in the area (4). A soil field has a state of its own, in bins that
 follow the tool (`soil_field.sweep`).
 
@@ -165,21 +166,37 @@ def checked(name: str, values, shape) -> np.ndarray:
 
 
 def _cut(grid, state, position, dt):
-    """The state after the circle's centre has gone straight to `position`: (2), (5)."""
+    """The state after the circle's centre has gone straight to `position`."""
     step = position - state.position
-    travelled = state.travelled + np.hypot(step[:, 0], step[:, 1])
-    bins = state.origin[:, None] + grid.offsets
-    height = underside(bins, state.position, position, grid.radius)
-    passed = height < state.surface
-    foremost = np.maximum(state.foremost, position[:, 0])
-    return state._replace(
-        profile=np.minimum(state.profile, height),  # (2)
-        last=np.where(passed, travelled[:, None], state.last),
-        position=position,
-        velocity=state.velocity if dt is None else step / dt,
-        travelled=travelled,
-        foremost=np.where(passed.any(axis=1), foremost, state.foremost),
-    )
+    height = underside(state.origin[:, None] + grid.offsets, state.position, position, grid.radius)
+    velocity = state.velocity if dt is None else step / dt
+    found = after_step(state, height, position[:, 0], np.hypot(step[:, 0], step[:, 1]))
+    return state._replace(position=position, velocity=velocity, **found)
+
+
+def after_step(state, height, tip, length) -> dict[str, np.ndarray]:
+    """Fields of a state that a step changes, of `SweptBed` and of `soil_field.sweep.Sweep`: (2),
+    (5).
+
+    Args:
+      state: before the step.
+      height: [B, n] of `underside`, m.
+      tip, length: [B], u at which the step ends and its length, m.
+    """
+    passed, travelled = height < state.surface, state.travelled + length
+    return {
+        'profile': np.minimum(state.profile, height),
+        'last': np.where(passed, travelled[:, None], state.last),
+        'travelled': travelled,
+        'foremost': np.where(passed.any(axis=1), np.maximum(state.foremost, tip), state.foremost),
+    }
+
+
+def area_before(state, after, area, known) -> np.ndarray:
+    """(6): [B, n] of `known`, and the area [B] before the step where `after` is cut and `state` is
+    not, so that what is cut together has one value."""
+    is_new = (after.profile < state.surface) & ~(state.profile < state.surface)
+    return np.where(is_new, area[:, None], known)
 
 
 def underside(u, before, after, radius) -> np.ndarray:

@@ -4,30 +4,8 @@ A tool is a circle drawn out across the way: the round lower edge of a blade or 
 of a wheel. Columns lie side by side across the way, under the tool and beside it; each has bins
 along the way. The bins are a ring about the tool: where it leaves them, those behind are dropped
 and new ones are read from the terrain, so that a path has no end and a step always costs the same.
-With the circle's centre c = (u_c, h) and radius rho, bins u_k du apart and the terrain s before the
-tool (numbers of docs/soil_field.md):
-
-  underside    e(u) = min over 0 <= a <= 1 of h(a) - sqrt(rho^2 - (u - u_c(a))^2), in a step   (1)
-  profile      p(u) <- min(p(u), e(u)), p = s at first                                         (2)
-  cut          q(u) = s(u) - p(u)                                                              (3)
-  swept area   A = sum of q(u_k) du over |u_k - u_c| <= WINDOW, of the outermost their share   (4)
-  since        way since e(u) last was below s(u), at most `FORGET`                            (5)
-  area before  A_0(u) = A when e(u) first was below s(u), 0 where it was not                   (6)
-  cut in all   sum of q du over all bins, and over those that have been dropped
-  foremost     the largest u_c while e(u) < s(u) somewhere, at most WINDOW before the tool
-
-Soil hardly knows time: what it remembers fades with the way that the tool goes. A motion is
-d = (du_c, dh, x) where x is a length that the tool turns by: of a blade 0.1 m times its change of
-lean, of a wheel its slip R dalpha - du_c. With the way ds = |(du_c, dh)| + |x|,
-
-  memory       m <- exp(-ds / l) m + (1 - exp(-ds / l)) d / ds, for each l of MEMORIES         (7)
-
-so a tool that halts keeps what it has, and one that turns back forgets within millimetres, which
-is how soil unloads. Two cones tell how far soil may have been moved,
-
-  cone         C(v, a)_k = max_j (v_j - a |k - j|)
-  influence    I = clip(3 C(min(q / TOUCH, 1), du / REACH), 0, 1)                              (8)
-  disturbed    D = C(q, RISE du), the depth to which soil may have moved                       (9)
+What they remember are (1) to (9) of docs/soil_field.md; of the outermost bins of the area (4) their
+share counts, and `foremost` is at most WINDOW before the tool.
 
 Two calls in a row equal one call over the joined path up to (7), which sees straight pieces; moving
 path and terrain together changes nothing. Coordinates: u (m) along the way, y (m) upwards; lengths
@@ -40,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from learning_to_simulate.swept import check_time, underside
+from learning_to_simulate import swept
 
 WINDOW = 0.45  # m behind and before the tool that count
 FORGET = 1.0  # m
@@ -187,36 +165,24 @@ def advance(state: Sweep, pose, turn, radius, dt: float, read: Read, grid: Grid 
     Raises:
       ValueError: a time that does not pass; poses that are not finite.
     """
-    check_time(dt)
+    swept.check_time(dt)
     pose = _checked('pose', pose)
     state = _followed(state, pose[:, 0], read, grid)
     step = pose - state.pose
     length = np.hypot(step[:, 0], step[:, 1])
     bins = state.origin[:, None] + grid.offsets
-    height = underside(bins, state.pose[:, :2], pose[:, :2], np.asarray(radius)[:, None])
-    profile = np.minimum(state.profile, height)  # (2)
-    passed = height < state.surface
-    was_cut, is_cut = state.profile < state.surface, profile < state.surface
-    travelled = state.travelled + length
-    # In the soil the tool makes itself a new foremost place.
-    foremost = np.where(passed.any(axis=1), np.maximum(state.foremost, pose[:, 0]), state.foremost)
+    height = swept.underside(bins, state.pose[:, :2], pose[:, :2], np.asarray(radius)[:, None])
+    after = state._replace(**swept.after_step(state, height, pose[:, 0], length))
     ds = length + np.abs(turn)
     motion = np.stack([step[:, 0], step[:, 1], turn], axis=1) / np.maximum(ds, 1e-30)[:, None]
     fade = np.exp(-ds[:, None] / np.array(MEMORIES))[..., None]
-    return Sweep(
-        state.origin,
-        state.surface,
-        profile,
-        np.where(passed, travelled[:, None], state.last),
-        # (6): the area before this frame, so that what is cut together has one value.
-        np.where(is_cut & ~was_cut, area(state, grid)[:, None], state.area_before),
-        pose,
-        fade * state.memory + (1 - fade) * motion[:, None],  # (7)
-        travelled,
-        state.way + ds,
-        np.minimum(foremost, pose[:, 0] + WINDOW),
-        ds / dt,
-        state.dropped,
+    return after._replace(
+        area_before=swept.area_before(state, after, area(state, grid), state.area_before),
+        pose=pose,
+        memory=fade * state.memory + (1 - fade) * motion[:, None],  # (7)
+        way=state.way + ds,
+        foremost=np.minimum(after.foremost, pose[:, 0] + WINDOW),
+        speed=ds / dt,
     )
 
 

@@ -99,13 +99,11 @@ class PathMemory:
         velocity = np.concatenate([after.velocity, turn[:, None]], axis=1)
         # dm/dt = (v - m) / tau, exactly for a velocity that is constant within the frame.
         fade = np.exp(-self.dt / np.array(TIME_SCALES))[:, None]
-        was_cut, is_cut = before.profile < before.surface, after.profile < after.surface
-        # The area before this frame, so that what is cut together has one value.
-        area = swept.swept_area(self.grid, before)[:, None]
+        area = swept.swept_area(self.grid, before)
         return Memory(
             after, pose[:, 2], memory.width, velocity,
             fade * memory.faded + (1 - fade) * velocity[:, None],
-            np.where(is_cut & ~was_cut, area, memory.area_before),
+            swept.area_before(before, after, area, memory.area_before),
         )  # fmt: skip
 
     def values(self, memory: Memory) -> np.ndarray:
