@@ -18,19 +18,6 @@ _RANGES = {
 }  # fmt: skip
 
 
-def check_temperature(temperature: float) -> None:
-    """Refuses temperatures that are not finite or below `MIN_TEMPERATURE`.
-
-    Raises:
-      ValueError: with the value and the limit.
-    """
-    if not MIN_TEMPERATURE <= temperature < float('inf'):
-        raise ValueError(
-            f'temperature is {temperature}, must be finite and at least {MIN_TEMPERATURE}: below '
-            f'it the gradient of the sample vanishes'
-        )
-
-
 def log_prior(n_types: int, no_edge_prior: float | None) -> np.ndarray:
     """float32 [K] log probabilities: uniform, or `no_edge_prior` for type 0 and the rest equally.
 
@@ -108,7 +95,11 @@ class NriConfig:
                 raise ValueError(f'{name} is {value!r}, must be positive and finite')
             if field.type is bool and type(value) is not bool:
                 raise ValueError(f'{name} is {value!r}, must be true or false')
-        check_temperature(self.temperature)
+        if self.temperature < MIN_TEMPERATURE:
+            raise ValueError(
+                f'temperature is {self.temperature}, must be at least {MIN_TEMPERATURE}: below it '
+                f'the gradient of the sample vanishes'
+            )
         log_prior(self.edge_types, self.no_edge_prior)
         if self.segment >= self.window:
             raise ValueError(

@@ -107,10 +107,6 @@ def find_edges(
             f'{model_path} was trained on other data (sha256 {model.data_digest[:12]}...) than '
             f'{data_path} (sha256 {trained_on[:12]}...)'
         )
-    if tuple(data.node_names) != model.node_names:
-        raise ValueError(
-            f'{data_path} has the nodes {data.node_names}, {model_path} {model.node_names}'
-        )
     if not model.config.skip_first:
         raise ValueError(f'{model_path} was trained without skip_first: no type means "no edge"')
     posterior = edge_posterior(model, data.features)
@@ -131,9 +127,7 @@ def find_edges(
         probabilities=probabilities,
         method='nri',
         threshold=wish.get('threshold'),
-        digests={
-            'model': model.digest, 'data': trained_on, **edge_lists.data_digests(data_path)
-        },
+        digests={'model': model.digest, 'data': trained_on, **edge_lists.data_digests(data_path)},
         degenerate=found,
         report=spread(posterior, threshold) | {'split': split},
     )
@@ -188,7 +182,8 @@ def define_flags():
 def main(v):
     command.import_tensorflow()
     options = 'split', 'threshold', 'keep', 'allow_degenerate'
-    edges = find_edges(v.model_path, v.data_path, **{name: v[name].value for name in options})
+    given = {name: getattr(v, name) for name in options}
+    edges = find_edges(v.model_path, v.data_path, **given)
     names = export(edges, v.data_path, v.output_path)
     r = edges.report
     print(

@@ -9,8 +9,6 @@ import math
 import numpy as np
 import tensorflow as tf
 
-from nri.config import check_temperature
-
 # float32 numbers nearest to 0 and 1 for which both logarithms of a Gumbel draw are finite.
 _LOWEST, _HIGHEST = 2.0**-126, 1.0 - 2.0**-24
 
@@ -25,16 +23,12 @@ def gumbel_softmax(logits, temperature: float, seed) -> tf.Tensor:
 
     Args:
       logits: float32 [..., K].
-      temperature: small is nearly one type, large is nearly uniform.
+      temperature: small is nearly one type, large is nearly uniform; `NriConfig` has its range.
       seed: int32 [2]; the draw is a function of it.
 
     Returns:
       float32 [..., K], sums to 1.
-
-    Raises:
-      ValueError: see `config.check_temperature`.
     """
-    check_temperature(temperature)
     noise = gumbel_from_uniform(tf.random.stateless_uniform(tf.shape(logits), seed))
     return tf.nn.softmax((logits + noise) / temperature)
 
@@ -75,12 +69,6 @@ def gaussian_nll(prediction, target, least_variance: float) -> tf.Tensor:
     return 0.5 * (mean_square / variance + tf.math.log(variance / least_variance))
 
 
-def confusion(predicted, true, n_types: int) -> np.ndarray:
-    """int64 [K, K] counts, entry [predicted type, true type]."""
-    flat = np.asarray(predicted).reshape(-1) * n_types + np.asarray(true).reshape(-1)
-    return np.bincount(flat, minlength=n_types**2).reshape(n_types, n_types)
-
-
 def edge_accuracy(predicted, true, n_types: int) -> tuple[float, tuple[int, ...]]:
     """Share of right edge types under the best naming of the types, one for the whole data set.
 
@@ -105,7 +93,8 @@ def edge_accuracy(predicted, true, n_types: int) -> tuple[float, tuple[int, ...]
                 f'{name} edge types reach from {types.min()} to {types.max()}, but there are '
                 f'{n_types} types'
             )
-    counts = confusion(predicted, true, n_types)
+    pairs = np.bincount((predicted * n_types + true).ravel(), minlength=n_types**2)
+    counts = pairs.reshape(n_types, n_types)  # [predicted type, true type]
     namings = itertools.permutations(range(n_types))
     best = max(namings, key=lambda naming: counts[range(n_types), naming].sum())
     return float(counts[range(n_types), best].sum() / counts.sum()), best

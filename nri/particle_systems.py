@@ -72,13 +72,6 @@ class Springs:
         laplacian = relations - np.eye(self.n_objects) * relations.sum(-1, keepdims=True)
         return self.interaction_strength * (laplacian @ position)
 
-    def energy(self, position, velocity, relations):
-        """[S]."""
-        square = ((position[:, :, None] - position[:, None]) ** 2).sum(-1)
-        # Every pair stands twice in the sum.
-        potential = 0.25 * self.interaction_strength * (relations * square).sum((1, 2))
-        return 0.5 * (velocity**2).sum((1, 2)) + potential
-
 
 @dataclasses.dataclass(frozen=True)
 class Charged:
@@ -122,19 +115,6 @@ class Charged:
         square = np.maximum((away**2).sum(-1), self.core_radius**2)
         size = self.interaction_strength * relations / (square * np.sqrt(square))
         return (size[..., None] * away).sum(2)
-
-    def energy(self, position, velocity, relations):
-        """[S]."""
-        distance = np.sqrt(((position[:, :, None] - position[:, None]) ** 2).sum(-1))
-        core = self.core_radius
-        of_pair = np.where(
-            distance < core,
-            (3.0 - (distance / core) ** 2) / (2.0 * core),
-            1.0 / np.maximum(distance, core),
-        )
-        of_pair *= 1.0 - np.eye(self.n_objects)
-        potential = 0.5 * self.interaction_strength * (relations * of_pair).sum((1, 2))
-        return 0.5 * (velocity**2).sum((1, 2)) + potential
 
 
 SYSTEMS = {'springs': Springs, 'charged': Charged}

@@ -109,7 +109,7 @@ def define_flags():
 
 def main(given):
     started = time.time()
-    counts = {split: given[f'num_{split}'].value for split in SPLITS}
+    counts = {split: getattr(given, f'num_{split}') for split in SPLITS}
     system = particle_systems.SYSTEMS[given.system](given.n_objects, given.dt)
     how = given.length, given.sample_freq, given.seed
     write_dataset(system, given.system, counts, *how, given.output_path)

@@ -51,7 +51,7 @@ def define_flags():
 
 def main(given):
     fields = [field.name for field in dataclasses.fields(NriConfig)]
-    config = NriConfig(**{name: given[name].value for name in fields})
+    config = NriConfig(**{name: getattr(given, name) for name in fields})
     command.import_tensorflow()  # here, so that neither help nor a refusal waits for it
     import tensorflow as tf
 

@@ -1,6 +1,5 @@
 """Small springs data and models, for the tests of NRI."""
 
-
 import numpy as np
 
 from nri import data, particle_systems, simulate

@@ -9,7 +9,7 @@ from nri import export_edges
 from nri.config import NriConfig
 from nri.model import NriModel
 from tests.learning_to_simulate import synthetic
-from tests.pca_tools.commands import run_command
+from tests.pca_tools.commands import call_command
 
 R = synthetic.N_MODES
 TINY = {'hidden': 4, 'window': 8, 'segment': 3}
@@ -96,7 +96,7 @@ def test_command_writes_a_list_that_the_simulator_reads(data, model_path, tmp_pa
         'nri.export_edges', f'--model_path={model_path}', f'--data_path={data}',
         f'--output_path={tmp_path / "out"}',
     ]  # fmt: skip
-    done = run_command(*command, '--keep=4')
+    done = call_command(*command, '--keep=4')
     assert done.returncode == 0, done.stderr
     assert '4 of 9 edges' in done.stdout and 'bits' in done.stdout
     edges = edge_lists.read(str(tmp_path / 'out' / 'edges.json'))

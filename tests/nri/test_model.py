@@ -1,6 +1,5 @@
 """Config, probabilities, and models on disk."""
 
-
 import numpy as np
 import pytest
 import tensorflow as tf
@@ -20,7 +19,6 @@ from tests.nri import small
         ({'edge_types': 1}, 'edge_types is 1, must be at least 2'),
         ({'segment': 49}, 'more than the window of 49'),
         ({'seed': 2**28}, 'seed is 268435456'),
-        ({'no_edge_prior': 1.0}, 'no_edge_prior'),
         ({'output_variance': float('nan')}, 'output_variance is nan'),
     ],
 )

@@ -5,17 +5,17 @@ import pytest
 
 from nri import particle_systems, simulate
 from pca_tools import files
-from tests.pca_tools.commands import run_command
+from tests.pca_tools.commands import call_command
 
 
 def test_files_have_kipfs_names_and_shapes(tmp_path):
     path = tmp_path / 'made'
     command = ['nri.simulate', '--system=charged', '--n_objects=3', '--num_train=7']
     command += ['--num_valid=2', '--num_test=3', '--length=500', f'--output_path={path}']
-    refused = run_command(*command, '--dt=0.1')
+    refused = call_command(*command, '--dt=0.1')
     assert refused.returncode == 1 and refused.stderr.startswith('error: time step 0.1 is unstable')
     assert not path.exists()
-    done = run_command(*command)
+    done = call_command(*command)
     assert done.returncode == 0 and '12 runs of 4 frames' in done.stdout, done.stderr
     for split, count in (('train', 7), ('valid', 2), ('test', 3)):
         for prefix in ('loc', 'vel'):

@@ -13,7 +13,7 @@ from nri.training import Trainer
 from pca_tools import files
 from tests.learning_to_simulate import models, synthetic
 from tests.nri import small
-from tests.pca_tools.commands import run_command
+from tests.pca_tools.commands import call_command, run_command
 
 
 def config(**settings):
@@ -123,12 +123,12 @@ def test_a_step_sees_the_window_of_its_sample(monkeypatch):
 )
 def test_every_variant_learns_and_its_gradients_reach_all_weights(settings):
     held = small.springs(n_run=32, n_frame=17)
-    model = small.model(held, learning_rate=3e-3, **settings)
+    model = small.model(held, learning_rate=1e-2, **settings)
     trainer = Trainer(model, held)
     before = [v.numpy() for v in model.trainable_variables]
     with models.eagerly():
         first = trainer.evaluate(held)['loss']
-        for i in range(60):
+        for i in range(12):
             trainer.step(i)
         after = trainer.evaluate(held)
     assert np.isfinite(after['loss']) and after['loss'] < first
@@ -144,15 +144,16 @@ def test_modes_of_a_dataset_from_the_command_line(tmp_path):
     folder = synthetic.write_dataset(tmp_path / 'data')
     model = tmp_path / 'model'
     command = ['nri.train', f'--data_path={folder}', f'--model_path={model}', '--hidden=8']
-    command += ['--window=20', '--segment=3', '--epochs=2', '--nodes=modes_and_rigid']
-    done = run_command(*command)
-    assert done.returncode == 0, done.stderr
+    command += ['--window=30', '--segment=3', '--epochs=1', '--nodes=modes_and_rigid']
+    with models.eagerly():
+        done = call_command(*command)
+        assert done.returncode == 0, done.stderr
+        held = data.load(folder, 'test', 'modes_and_rigid')
+        loaded = load_model(str(model))
+        assert loaded.edge_probabilities(held.features).shape == (2, 42, 2)
     metrics = files.read_json(str(model / 'metrics.json'))
     assert ('COLLAPSED' in done.stdout) == (metrics['test']['status'] == 'COLLAPSED')
-    held = data.load(folder, 'test', 'modes_and_rigid')
-    loaded = load_model(str(model))
     assert loaded.node_names == held.node_names
-    assert loaded.edge_probabilities(held.features).shape == (2, 42, 2)
     assert list(model.glob('events.out.tfevents*'))
 
 
@@ -176,19 +177,16 @@ def test_data_and_settings_that_do_not_fit_are_refused_before_the_training(tmp_p
     assert 'Traceback' not in done.stderr and not (tmp_path / 'model').exists()
 
 
-def accuracy_after(n_step, n_objects, **settings):
-    """Edge accuracy on 500 new runs after training on 3000 springs runs."""
-    held = small.springs(n_run=3000, n_objects=n_objects, n_frame=40)
-    new = small.springs(n_run=500, n_objects=n_objects, n_frame=40, split='valid')
-    trainer = Trainer(
-        small.model(held, hidden=32, window=40, segment=8, batch_size=64, **settings), held
-    )
-    for i in range(n_step):
-        trainer.step(i)
-    return trainer.evaluate(new)['accuracy']
-
-
-@pytest.mark.slow
 def test_springs_are_found_without_labels():
-    # Three seeds reached 0.938, 0.945 and 0.954 after 750 steps; the recipe of the proof, smaller.
-    assert accuracy_after(750, 3, learning_rate=2e-3) > 0.9
+    """The recipe of the proof, smaller: on 3000 runs, judged on 500 new ones."""
+    held, new = (
+        small.springs(n_run=count, n_frame=40, split=split)
+        for count, split in ((3000, 'train'), (500, 'valid'))
+    )
+    settings = {'window': 40, 'segment': 8, 'batch_size': 64, 'learning_rate': 2e-3}
+    trainer = Trainer(small.model(held, hidden=32, **settings), held)
+    for i in range(450):
+        trainer.step(i)
+    with models.eagerly():
+        # Measured 0.949; 0.916 after 300 steps.
+        assert trainer.evaluate(new)['accuracy'] > 0.85
