@@ -20,7 +20,7 @@ from pca_tools import files
 from pca_tools.subspace import Subspace
 from tests.learning_to_simulate import synthetic_rollout
 from tests.learning_to_simulate.synthetic_rollout import DT, N_GIVEN, N_RIGID
-from tests.pca_tools.commands import run_command
+from tests.pca_tools.commands import call_command
 
 N_FRAMES = 60
 N_SHOWN = N_FRAMES - N_GIVEN
@@ -334,12 +334,12 @@ def test_movies_have_the_frames_they_were_given(tmp_path):
 
 def test_command(made, tmp_path):
     command = 'learning_to_simulate.render_rollout'
-    done = run_command(
+    done = call_command(
         command, f'--rollout_path={tmp_path}/none.npz', f'--output_path={tmp_path}/out'
     )
     assert (done.returncode, done.stderr) == (1, f'error: {tmp_path}/none.npz: no such file\n')
     assert not os.listdir(tmp_path)
-    done = run_command(
+    done = call_command(
         command, f'--rollout_path={made[0]}', f'--data_path={made[1]}', f'--output_path={tmp_path}',
         '--step_stride=20', '--color_by=error', '--format=png,gif,mp4,vtp',
     )  # fmt: skip

@@ -18,6 +18,7 @@ from learning_to_simulate.subspace import subspace_model
 from learning_to_simulate.subspace.trainer import Trainer
 from pca_tools import dataset, files
 from tests.learning_to_simulate import models, synthetic
+from tests.pca_tools.commands import call_command
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 # Few operations, which take long to compile.
@@ -29,11 +30,6 @@ SHORT = {
 
 def command(*args):
     return [sys.executable, '-m', 'learning_to_simulate.train', '--num_threads=1', *args]
-
-
-def run(*args):
-    """Runs the command line; returns the finished process."""
-    return subprocess.run(command(*args), cwd=ROOT, capture_output=True, text=True)
 
 
 @pytest.fixture(scope='module')
@@ -66,10 +62,11 @@ def test_short_training_beats_the_trivial_predictors(tmp_path):
 
 def test_rollout_command_writes_results_that_agree(data, trained, tmp_path):
     out = tmp_path / 'rollouts'
-    done = run(
-        '--mode=eval_rollout', '--eval_split=test', f'--data_path={data}',
-        f'--model_path={trained}', f'--output_path={out}',
-    )  # fmt: skip
+    with models.eagerly():
+        done = call_command(
+            'learning_to_simulate.train', '--mode=eval_rollout', '--eval_split=test',
+            f'--data_path={data}', f'--model_path={trained}', f'--output_path={out}',
+        )  # fmt: skip
     assert done.returncode == 0, done.stderr
     assert 'constant velocity' in done.stdout and 'ms per frame' in done.stdout
     summary = json.loads((out / 'metrics.json').read_text())
@@ -105,7 +102,7 @@ def test_killed_training_resumes_to_the_same_weights(tmp_path):
     process.send_signal(signal.SIGKILL)
     process.communicate()
     assert not (path / 'ckpt-1000.npz').exists()
-    done = run(*args)
+    done = subprocess.run(command(*args), cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0 and 'resumed' in done.stdout, done.stderr
     registry.train(data, straight, presets.make_config('mlp', **settings), save_every=1000)
     for name, value in weights(straight).items():
@@ -148,8 +145,8 @@ def test_exported_weights_are_not_mistaken_for_a_training_state(data, trained, t
 def test_bad_input_is_a_message_and_not_a_traceback(data, trained, tmp_path):
     """Missing data; a flag that contradicts the model."""
     contradicts = f'contradicts the model in {trained}, which has prescribed: '
-    path = f'--model_path={trained}'
-    done = run('--mode=eval', f'--data_path={data}', path, '--rigid_motion=driven')
+    given = f'--data_path={data}', f'--model_path={trained}', '--rigid_motion=driven'
+    done = call_command('learning_to_simulate.train', '--mode=eval', *given)
     assert done.returncode != 0 and 'Traceback' not in done.stderr
     assert f'--rigid_motion=driven {contradicts}' in done.stderr
     with pytest.raises(FileNotFoundError, match='no such dataset folder'):

@@ -6,7 +6,7 @@ import pytest
 
 from mpm import generate, scenes
 from mpm.motions.recording import Recording
-from tests.pca_tools.commands import run_command
+from tests.pca_tools.commands import call_command
 
 
 def chosen(scene, **values):
@@ -42,6 +42,6 @@ def test_bad_choices_are_refused(values, words):
 
 def test_command_ends_in_one_line(tmp_path):
     out = f'--output_path={tmp_path / "out"}'
-    done = run_command('mpm.generate', '--scene=excavation', '--gravity=0', out)
+    done = call_command('mpm.generate', '--scene=excavation', '--gravity=0', out)
     assert done.returncode == 1 and not list(tmp_path.iterdir())
     assert done.stderr.startswith('error: gravity is 0.0, must lie in')

@@ -6,7 +6,7 @@ import pytest
 
 from mpm import batch, record, scenes, splits
 from tests.mpm import small
-from tests.pca_tools.commands import run_command
+from tests.pca_tools.commands import call_command
 
 
 @pytest.fixture
@@ -88,7 +88,7 @@ def test_unknown_parts_and_splits_are_refused(part, splits, words):
 
 
 def test_command_ends_in_one_line():
-    done = run_command('mpm.record')
+    done = call_command('mpm.record')
     assert (done.returncode, done.stdout) == (1, '')
     assert done.stderr == 'error: give --output_path, or --list to see what would be made\n'
 

@@ -6,7 +6,7 @@ import sys
 import pytest
 
 from reports import __main__ as command
-from tests.pca_tools.commands import REPOSITORY, run_command
+from tests.pca_tools.commands import REPOSITORY, call_command
 
 
 def test_without_a_name_all_reports_are_listed_and_an_unknown_one_is_a_message(capsys):
@@ -18,10 +18,10 @@ def test_without_a_name_all_reports_are_listed_and_an_unknown_one_is_a_message(c
 
 
 def test_bad_input_and_a_question_for_help_are_answered_by_the_report_itself(tmp_path):
-    refused = run_command('reports', 'documents', str(tmp_path / 'none.md'))
+    refused = call_command('reports', 'documents', str(tmp_path / 'none.md'))
     assert refused.returncode == 1 and 'none.md' in refused.stderr
     assert 'Traceback' not in refused.stderr
-    text = run_command('reports', 'protocol', '--help').stdout
+    text = call_command('reports', 'protocol', '--help').stdout
     assert '--work_path' in text and 'python -m reports protocol' in text
 
 

@@ -6,7 +6,7 @@ import pytest
 
 from pca_tools import dataset
 from run_scripts import demo
-from tests.pca_tools.commands import run_command
+from tests.pca_tools.commands import call_command
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 
@@ -20,7 +20,7 @@ ROOT = pathlib.Path(__file__).resolve().parents[2]
     ],
 )
 def test_demo_refuses_bad_choices_before_it_simulates(tmp_path, arguments, message):
-    done = run_command('run_scripts.demo', f'--output_path={tmp_path}', *arguments)
+    done = call_command('run_scripts.demo', f'--output_path={tmp_path}', *arguments)
     assert done.returncode != 0 and message in done.stderr and 'Traceback' not in done.stderr
     assert not list(tmp_path.iterdir())
 

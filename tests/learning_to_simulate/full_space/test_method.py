@@ -17,9 +17,10 @@ from learning_to_simulate.full_space.simulator import (
 )
 from learning_to_simulate.full_space.training import ParticleTrainer
 from pca_tools import convert, dataset, files
+from tests.learning_to_simulate import models
 from tests.learning_to_simulate import synthetic as modes
 from tests.pca_tools import synthetic
-from tests.pca_tools.commands import run_command
+from tests.pca_tools.commands import call_command
 
 SHORT = {'soil_particles': 60, 'latent_size': 8, 'message_passing_steps': 2, 'num_steps': 6}
 
@@ -178,7 +179,8 @@ def test_command_trains_and_rolls_out(folders, tmp_path):
     ]  # fmt: skip
     train = [*(f'--set={k}={v}' for k, v in SHORT.items()), '--model=full_space']
     for extra in (train, [f'--output_path={out}', '--mode=eval_rollout']):
-        done = run_command(*command, *extra)
+        with models.eagerly():
+            done = call_command(*command, *extra)
         assert done.returncode == 0, done.stderr
     summary = json.loads((tmp_path / 'out' / 'metrics.json').read_text())
     values = files.read_npz(f'{out}/rollout_test_0.npz')

@@ -1,6 +1,5 @@
 """The FMU by FMPy: valid, equal to the library, rolled back bit by bit, side by side."""
 
-import functools
 import os
 import subprocess
 import zipfile
@@ -22,16 +21,6 @@ from fmpy.fmi1 import FMICallException  # noqa: E402
 
 pytestmark = worlds.needs_c
 PARTS = {'pos': 'xyz', 'rot': ('e0', 'e1', 'e2', 'e3'), 'lin_vel': 'xyz', 'ang_vel': 'xyz'}
-
-
-@pytest.fixture(scope='module', autouse=True)
-def quick():
-    """Binaries that are compiled sooner."""
-    library.load()  # in the user's cache, as it should be
-    with pytest.MonkeyPatch.context() as patch:
-        compiled = functools.partial(library.compile_sources, flags=worlds.QUICK)
-        patch.setattr(fmu.library, 'compile_sources', compiled)
-        yield
 
 
 def _write(folder, **case):

@@ -24,7 +24,7 @@ pytestmark = worlds.needs_c
 
 def _compiled(folder):
     built = os.path.join(folder, 'small.so')
-    library.compile_sources(built, *library.parts_of(folder), flags=worlds.QUICK)
+    library.compile_sources(built, *library.parts_of(folder))
     return built
 
 

@@ -56,10 +56,6 @@ def soil_field(tool: str, hidden=None, members: int = 3):
     return made
 
 
-# Compiled in a third of the time of `library.FLAGS`, and to the same bits.
-QUICK = ('-std=c99', '-O1', '-fPIC', '-shared', '-fvisibility=hidden')
-
-
 def written(folder, name: str, values: dict) -> str:
     """A project in a new folder."""
     os.makedirs(folder)

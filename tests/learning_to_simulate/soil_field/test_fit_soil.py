@@ -4,8 +4,6 @@ so."""
 import dataclasses
 import json
 import re
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -17,6 +15,7 @@ from learning_to_simulate.soil_field.fit_soil import Rolled
 from learning_to_simulate.soil_field.stepper import SoilStepper
 from learning_to_simulate.soil_field.terrain import Terrain
 from learning_to_simulate.soil_field.tools import Blade, Soil
+from tests.pca_tools.commands import call_command
 
 ANGLE, DENSITY = 34.3, 1500.0
 FRAMES, DT = 180, 1 / 60
@@ -165,7 +164,6 @@ def test_what_is_refused(field, rolled):
         Rolled(field, dataclasses.replace(rolled[0].dig, pose=jump))
 
 
-@pytest.mark.slow
 def test_the_command(tmp_path, digs):
     """Rows of 20 Hz, in a file."""
     rows = ['time_s,run,x_m,y_m,angle_deg,force_x_N,force_y_N']
@@ -178,10 +176,8 @@ def test_the_command(tmp_path, digs):
     file.write_text('\n'.join(rows))
 
     def called(*more):
-        return subprocess.run(
-            [sys.executable, '-m', 'learning_to_simulate.cli', 'fit-soil', str(file),
-             f'--output_path={out}', *more], capture_output=True, text=True, check=False,
-        )  # fmt: skip
+        command = 'learning_to_simulate.cli', 'fit-soil', str(file), f'--output_path={out}'
+        return call_command(*command, *more)
 
     done = called('--tool=width=0.4', f'--picture={picture}')
     assert done.returncode == 0, done.stderr

@@ -8,7 +8,7 @@ import pytest
 from mpm import verify
 from mpm.verification import anchors, ladder, rows
 from mpm.verification.rows import Check
-from tests.pca_tools.commands import run_command
+from tests.pca_tools.commands import call_command
 
 ROOT = pathlib.Path(__file__).resolve().parents[3]
 
@@ -92,6 +92,6 @@ def test_kept_results_are_those_that_a_report_makes(report, made):
 def test_command_keeps_rows_and_tells_of_a_failure(tmp_path):
     path = str(tmp_path / 'v.json')
     rows.make(path, {('entries', 'free_fall'): rows.kept_checks(lambda: [Check('a', 2.0, 1.0)])})
-    done = run_command('mpm.verify', f'--json={path}', '--rows=free_fall')
+    done = call_command('mpm.verify', f'--json={path}', '--rows=free_fall')
     assert done.returncode == 1 and '0 of 1 checks pass' in done.stdout
     assert done.stdout.endswith('failed: a, 2\n')
