@@ -14,6 +14,7 @@ REPORTS = {
     'times': ('times', 'error against run time: table, picture'),
     'machines': ('machines', 'recorded machines in MuJoCo against the solver; stability, speed'),
     'stability': ('stability', 'extreme cases: what holds, is flagged, is refused'),
+    'beyond': ('beyond', 'runs that leave the data, and whether the status says so'),
     'soil_fits': ('soil_fits', 'how well `lts fit-soil` finds known soils'),
     'explain': ('explain', 'what a rollout leaves out: edges, MFLOP, time'),
     'edges': ('edges.edge_ablation', 'what edges between modes are worth'),

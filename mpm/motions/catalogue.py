@@ -9,15 +9,17 @@ import math
 from dataclasses import dataclass
 
 from mpm import bodies, scenes
-from mpm.motions import grid, machine_drives, operator_paths, wheel_drives
+from mpm.motions import beyond, grid, machine_drives, operator_paths, wheel_drives
 from mpm.motions.drive import Drive
 from mpm.motions.recording import Recording, recorded_drive
 
 # Scene -> kind -> what draws a drive and its parameters from scene, kind, seed and tool.
 _DRAWS = {
     'excavation': dict.fromkeys(operator_paths.KINDS, operator_paths.operator_drive)
-    | dict.fromkeys(machine_drives.KINDS, machine_drives.machine_drive),
-    'wheel': dict.fromkeys(wheel_drives.KINDS, wheel_drives.free_drive),
+    | dict.fromkeys(machine_drives.KINDS, machine_drives.machine_drive)
+    | {beyond.KIND: beyond.beyond_drive},
+    'wheel': dict.fromkeys(wheel_drives.KINDS, wheel_drives.free_drive)
+    | {beyond.KIND: beyond.beyond_drive},
 }
 KINDS = {scene: tuple(draws) for scene, draws in _DRAWS.items()}
 # The kinds that take turns among seeds, where none is named.

@@ -161,7 +161,7 @@ def _seeds(path, folder, n_run):
         if key == 'model' and (bounds := config.get('field', {}).get('bounds')):
             found[name] |= {'bounds': bounds}
         if key == 'model' and 'field' in config:
-            found[name] |= separation(folder)
+            found[name] |= separation(_saved(folder))
     return found
 
 
@@ -178,11 +178,11 @@ def _columns(rows: list[dict]) -> dict[str, list]:
     return found
 
 
-def separation(folder: str) -> dict[str, float]:
+def separation(rollouts) -> dict[str, float]:
     """Whether the status of a soil field tells good frames from bad ones.
 
     Args:
-      folder: rollouts of a split.
+      rollouts: of each the predicted and the true force [T, 3], and which frames [T] are flagged.
 
     Returns:
       `flagged_frames`, the share of frames that it flags; `error_flagged` and `error_inside`, root
@@ -190,14 +190,12 @@ def separation(folder: str) -> dict[str, float]:
       flagged and of those that are not; without where there are none.
     """
     squares = np.zeros((2, 3))  # (inside, flagged) by (error, force, frames)
-    for path in glob.glob(os.path.join(folder, f'rollout_{SPLIT}_*.npz')):
-        arrays = files.read_npz(path)
-        force, true = (arrays[f'{n}_forces'][6:] for n in ('predicted', 'ground_truth'))
+    for force, true, flagged in rollouts:
         if not np.isfinite(force).all():
             continue
         # Runs count alike, however heavy their tool is.
         size = np.linalg.norm(true) / np.sqrt(len(true))
-        for i, mask in enumerate((~arrays['flagged'][6:], arrays['flagged'][6:])):
+        for i, mask in enumerate((~flagged, flagged)):
             parts = (force - true)[mask] / size, true[mask] / size
             squares[i] += [np.sum(parts[0] ** 2), np.sum(parts[1] ** 2), mask.sum()]
     values = squares[1, 2] / max(squares[:, 2].sum(), 1), *np.sqrt(
@@ -205,6 +203,13 @@ def separation(folder: str) -> dict[str, float]:
                   where=squares[::-1, 1] > 0)
     )  # fmt: skip
     return {k: float(f'{v:.4g}') for k, v in zip(_SHARE, values, strict=True) if np.isfinite(v)}
+
+
+def _saved(folder):
+    """Of the rollouts of a split in a folder what `separation` takes."""
+    for path in sorted(glob.glob(os.path.join(folder, f'rollout_{SPLIT}_*.npz'))):
+        arrays = files.read_npz(path)
+        yield tuple(arrays[n][6:] for n in ('predicted_forces', 'ground_truth_forces', 'flagged'))
 
 
 def read(path: str) -> dict:

@@ -1,0 +1,98 @@
+"""Whether the status of a soil field tells good frames from bad ones: runs that leave its data.
+
+Each run of kind `beyond` (`mpm/motions/beyond.py`) leaves in one way what fields were taught. The
+shipped fields roll out these and the test runs of the data of record; the errors of the frames that
+they flag stand beside those of frames that they do not.
+
+Examples:
+    python -m mpm.generate --scene=wheel --operator_seeds=0-6 --kinds=beyond --output_path=raw
+    lts convert --raw_path=raw --like=datasets/wheel --output_path=datasets/wheel_beyond
+    python -m reports beyond --output_path=docs/beyond.json
+    python -m reports documents docs/results.md         # the table again, from the JSON
+"""
+
+import numpy as np
+from absl import flags
+
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
+from pca_tools import dataset, files
+from reports import command, markdown, record
+from reports.protocol import judge
+
+# Scene -> the datasets whose test runs are compared with.
+SCENES = {'excavation': ('excavation', 'excavation_wide'), 'wheel': ('wheel',)}
+
+
+def judged(scene: str) -> dict:
+    """Runs of kind `beyond` with their errors, and `judge.separation` of the test runs, of these
+    runs and of both."""
+    import learning_to_simulate as lts
+    from learning_to_simulate.rollout_status import RolloutStatus
+    from learning_to_simulate.soil_field import evaluation
+    from learning_to_simulate.soil_field import runs as runs_lib
+
+    field = lts.load(scene).model
+    judges = evaluation.SoilEvaluator(field, under_load=False)
+    folder = f'datasets/{scene}_beyond'
+    cases = dataset.read_metadata(folder)['cases']['test']
+    plots = {str(case['case']): case['plot'] for case in cases}
+    frames: dict[str, list] = {'test': [], 'beyond': []}
+    rows = []
+    usual = [run for data in SCENES[scene] for run in runs_lib.read(f'datasets/{data}', 'test')]
+    for name, runs in (('test', usual), ('beyond', runs_lib.read(folder, 'test'))):
+        for run in runs:
+            rollout = judges.roll_out(run)
+            flagged = np.array([s != RolloutStatus.OK for s in rollout.frame_status])
+            frames[name].append((rollout.force[H:], run.force[H:], flagged[H:]))
+            if name == 'beyond':
+                errors = evaluation.of_rollout(rollout, run)
+                kept = ('soil_mm', 'force_relative_l2', 'flagged_share')
+                rows.append({'run': plots[run.case], 'reason': rollout.judgement.reason}
+                            | {key: errors[key] for key in kept})  # fmt: skip
+    both = frames['test'] + frames['beyond']
+    return {
+        'runs': rows,
+        'separation': {'test': judge.separation(frames['test']), 'both': judge.separation(both)},
+    }
+
+
+def table(path: str) -> str:
+    """The runs, and below them the errors of flagged frames and of others."""
+    rows = []
+    for scene, found in files.read_json(path)['scenes'].items():
+        for row in found['runs']:
+            rows.append([
+                f'{scene}: {row["run"]}', row['soil_mm'], row['force_relative_l2'],
+                f'{100 * row["flagged_share"]:.0f}', row['reason'].partition(':')[0],
+            ])  # fmt: skip
+    header = 'run', 'soil, mm', 'force, rel. L2', 'frames flagged, %', 'reason'
+    return markdown.table(header, rows)
+
+
+def separations(path: str) -> str:
+    """Error of the force over the force, of frames that are flagged and of others."""
+    rows = [
+        [f'{scene}: {name}', f'{100 * of["flagged_frames"]:.0f}', of['error_flagged'],
+         of['error_inside'], of['error_flagged'] / of['error_inside']]
+        for scene, found in files.read_json(path)['scenes'].items()
+        for name, of in (('test', found['separation']['test']),
+                         ('test and these runs', found['separation']['both']))
+    ]  # fmt: skip
+    header = 'runs', 'frames flagged, %', 'their error', 'of others', 'ratio'
+    return markdown.table(header, rows)
+
+
+def main(values, _) -> None:
+    found: dict = record.provenance(1)
+    found['scenes'] = {scene: judged(scene) for scene in SCENES}
+    files.write_json(values.output_path, found)
+    print(table(values.output_path), separations(values.output_path), sep='\n\n')
+
+
+def define_flags() -> None:
+    flags.DEFINE_string('output_path', None, 'JSON file to write.', required=True)
+    flags.DEFINE_integer('num_threads', 1, 'Threads of TensorFlow.')
+
+
+if __name__ == '__main__':
+    command.start(define_flags, main)
