@@ -52,7 +52,10 @@ def judged(scene: str) -> dict:
     both = frames['test'] + frames['beyond']
     return {
         'runs': rows,
-        'separation': {'test': judge.separation(frames['test']), 'both': judge.separation(both)},
+        'separation': {
+            'test runs': judge.separation(frames['test']),
+            'with those beyond': judge.separation(both),
+        },
     }
 
 
@@ -75,8 +78,7 @@ def separations(path: str) -> str:
         [f'{scene}: {name}', f'{100 * of["flagged_frames"]:.0f}', of['error_flagged'],
          of['error_inside'], of['error_flagged'] / of['error_inside']]
         for scene, found in files.read_json(path)['scenes'].items()
-        for name, of in (('test', found['separation']['test']),
-                         ('test and these runs', found['separation']['both']))
+        for name, of in found['separation'].items()
     ]  # fmt: skip
     header = 'runs', 'frames flagged, %', 'their error', 'of others', 'ratio'
     return markdown.table(header, rows)

@@ -26,7 +26,7 @@ _BITS = {
         'stress',
     ),
     'LTS_OUTSIDE_START': (
-        'bed_low', 'bed_high', 'uneven', 'beyond_map', 'thin_soil', 'other_tool', 'cell'
+        'bed_low', 'bed_high', 'uneven', 'wall', 'beyond_map', 'thin_soil', 'other_tool', 'cell'
     ),
     'LTS_OUTSIDE_SPEED': ('speed',),
 }  # fmt: skip

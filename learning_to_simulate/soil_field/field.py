@@ -12,7 +12,7 @@ import tensorflow as tf
 from learning_to_simulate import checkpoints, error_bound
 from learning_to_simulate.rollout_status import Ranges
 from learning_to_simulate.soil_field import network, sweep
-from learning_to_simulate.soil_field.passage import Passage
+from learning_to_simulate.soil_field.passage import AHEAD, Passage
 from learning_to_simulate.soil_field.settings import SoilFieldConfig
 from learning_to_simulate.soil_field.tools import TOOLS
 from pca_tools import files
@@ -34,9 +34,10 @@ CONDITIONS = {
     'cell': (0.0, np.nan),
 }
 APART = 0.1
-# Numbers of a frame that are judged: scalars, and what follows from bins about the tool.
+# Numbers of a frame that are judged: scalars, and what follows from bins about the tool and from
+# how near a wall is.
 _SCALARS = ('lean', 'area', 'carried', 'speed')
-_OF_BINS = ('depth', 'bed_low', 'bed_high', 'uneven')
+_OF_BINS = ('depth', 'bed_low', 'bed_high', 'uneven', 'wall')
 # Bins so far from the tool tell of the ground under it and about it, m of the field.
 HERE, NEAR = 0.05, 0.25
 
@@ -102,6 +103,7 @@ class SoilField:
             np.where(near, surface, np.inf).min(axis=(1, 2)) - level,
             np.where(near, surface, -np.inf).max(axis=(1, 2)) - level,
             np.where(near, np.abs(surface - under), 0.0).max(axis=(1, 2)),
+            AHEAD - frames.scalars[:, 0, columns['ahead']].astype(np.float64),
         ]
         names = self.judged_names[: named(self.networks.tool)]
         own = [frames.scalars[..., columns[n]].max(axis=1) for n in names]

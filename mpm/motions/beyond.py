@@ -17,7 +17,7 @@ BLADES = {
     'loose': {'ground': LOOSE},
     'firm': {'ground': FIRM},
     'narrow': {'width': 0.08},
-    'fast': {'speed': 0.9},
+    'fast': {'speed': 0.7},
     'deep': {'depth': 0.13},
     'forward': {'lean': -50.0},
     'aside': {'aside': 0.06},

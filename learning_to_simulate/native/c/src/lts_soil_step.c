@@ -7,8 +7,11 @@
 
 /* ---- status ---- */
 
-/* Depth of the tool, and how low, high and uneven the ground about it is; whether the tool may touch it. */
-static int find_ground(const lts_soil *soil, const lts_passage *p, double area, double found[4]) {
+#define N_GROUND 5
+
+/* Depth of the tool, how low, high and uneven the ground about it is, and how near a wall; whether the tool
+ * may touch the ground. */
+static int find_ground(const lts_soil *soil, const lts_passage *p, double area, double found[N_GROUND]) {
   const lts_soil_model *m = soil->model;
   const int n_strip = p->s.n_strip;
   const float *surface = soil->bins[LTS_SOIL_SURFACE], *cut = soil->bins[LTS_SOIL_CUT], *s = soil->scalars[0];
@@ -42,6 +45,7 @@ static int find_ground(const lts_soil *soil, const lts_passage *p, double area, 
   found[1] = least - level;
   found[2] = most - level;
   found[3] = uneven;
+  found[4] = m->ahead - (double)s[LTS_SOIL_OWN + m->n_own + 2];
   return lts_soil_lowest_part(soil) < fmax(lowest, level) + (double)m->above + (double)m->heap * sqrt(fmax(area, 0.0));
 }
 
@@ -87,7 +91,7 @@ static void find_judged(const lts_soil *soil, const lts_passage *p, const lts_po
     values[i] = most;
   }
   values[LTS_SOIL_JUDGED_SPEED] = (float)p->s.speed; /* of scalars at most what was taught */
-  find_conditions(soil, p, pose, values + m->n_named + 4);
+  find_conditions(soil, p, pose, values + m->n_named + N_GROUND);
   if (find_ground(soil, p, fmax(values[1], values[2]), values + m->n_named) && !in_air) return;
   for (int i = 0; i < m->n_judged; ++i) {
     if (i < 4 || i >= m->n_named) values[i] = m->middle[i];
