@@ -10,7 +10,6 @@ y is up, the force acts on the tool (docs/axes.md). Rows of one run follow each 
 a row is the mean since the row before. A row whose forces are all empty only moves the tool.
 """
 
-import csv
 import dataclasses
 import math
 
@@ -21,6 +20,7 @@ from learning_to_simulate.soil_field.engine import FASTEST
 from learning_to_simulate.soil_field.terrain import Terrain
 from learning_to_simulate.soil_field.tools import Soil, Tool
 from pca_tools import dataset
+from pca_tools.storage import csv_rows
 
 FORCES = ('force_x_N', 'force_y_N', 'force_z_N')
 PLANE, SPACE = ('x_m', 'y_m', 'angle_deg'), ('x_m', 'y_m', 'z_m', 'qw', 'qx', 'qy', 'qz')
@@ -103,47 +103,22 @@ def read(path: str, tool: Tool, terrain: Terrain | None, surface: float, gravity
 
 def _rows(path):
     """Name of a run -> its lines, as numbers and their values."""
+
+    def numbers_of(header):
+        needed = ('time_s', *(SPACE if 'qw' in header else PLANE))
+        lacking = [name for name in needed if name not in header]
+        if lacking or not set(FORCES) & set(header):
+            lacking = lacking or ['one of ' + ', '.join(FORCES)]
+            raise ValueError(
+                f'{path}, line 1: lacks {", ".join(lacking)}; found {", ".join(header)}; '
+                f'expected [run], time_s, {", ".join(PLANE)} (or {", ".join(SPACE)}), force_x_N'
+            )
+        return [name for name in ('z_m', *needed, *FORCES) if name in header]
+
     runs: dict[str, list] = {}
-    with open(path, encoding='utf-8-sig', newline='') as file:
-        try:
-            lines = csv.reader(file)
-            header = [name.strip() for name in next(lines, [])]
-            needed = ('time_s', *(SPACE if 'qw' in header else PLANE))
-            lacking = [name for name in needed if name not in header]
-            if lacking or not set(FORCES) & set(header):
-                lacking = lacking or ['one of ' + ', '.join(FORCES)]
-                raise ValueError(
-                    f'{path}, line 1: lacks {", ".join(lacking)}; found {", ".join(header)}; '
-                    f'expected [run], time_s, {", ".join(PLANE)} (or {", ".join(SPACE)}), force_x_N'
-                )
-            if len(set(header)) < len(header):
-                raise ValueError(f'{path}, line 1: a column stands there twice: {header}')
-            names = [name for name in ('z_m', *needed, *FORCES) if name in header]
-            for cells in lines:
-                if not any(cell.strip() for cell in cells):
-                    continue
-                where = f'{path}, line {lines.line_num}'
-                if len(cells) != len(header):
-                    raise ValueError(f'{where}: has {len(cells)} cells, the header {len(header)}')
-                row = dict(zip(header, (cell.strip() for cell in cells), strict=True))
-                values = {name: _number(row[name], name, where) for name in names}
-                runs.setdefault(row.get('run', ''), []).append((lines.line_num, values))
-        except (UnicodeDecodeError, csv.Error) as error:
-            raise ValueError(f'{path}: is no CSV text: {error}') from error
+    for number, texts, values in csv_rows.rows(path, numbers_of, may_be_empty=FORCES):
+        runs.setdefault(texts.get('run', ''), []).append((number, values))
     return runs
-
-
-def _number(text, name, where):
-    if not text and name in FORCES:
-        return math.nan
-    try:
-        value = float(text)
-    except ValueError:
-        what = 'is missing' if not text else f'is {text!r}, no number'
-        raise ValueError(f'{where}: {name} {what}') from None
-    if not math.isfinite(value):
-        raise ValueError(f'{where}: {name} is {text}; leave it empty where nothing was measured')
-    return value
 
 
 def _poses(columns, terrain):

@@ -19,8 +19,6 @@ the range of the two rows beside it, so a path whose rows keep clear of the floo
 between.
 """
 
-import csv
-import math
 import os
 import re
 from dataclasses import dataclass
@@ -31,6 +29,7 @@ from mpm import bodies, scenes
 from mpm.motions.drive import Drive, poses
 from mpm.motions.grid import REST_FRAMES, under_load
 from pca_tools.files import sha256_of_file
+from pca_tools.storage import csv_rows
 
 COLUMNS = ('time_s', 'x_m', 'y_m', 'angle_deg')
 LOAD, ACROSS = 'load_N', 'z_m'
@@ -44,18 +43,12 @@ MAX_TIME = 60.0  # s
 
 @dataclass(frozen=True)
 class Recording:
-    """A run along the path of a file.
+    """A run along the path of a file."""
 
-    Attributes:
-        path: of the CSV file.
-        like_case: case of the grid whose soil, gravity, wheel and load are used (wheel).
-        blade_width: m (excavation).
-        tool: `bodies.check_tool`; None: the blade of that width, the wheel of that case.
-    """
-
-    path: str
-    like_case: int
-    blade_width: float = bodies.BLADE_WIDTH
+    path: str  # of the CSV file
+    like_case: int  # case of the grid whose soil, gravity, wheel and load are used (wheel)
+    blade_width: float = bodies.BLADE_WIDTH  # m (excavation)
+    # `bodies.check_tool`; None: the blade of that width, the wheel of that case
     tool: dict | None = None
 
     @property
@@ -73,65 +66,39 @@ def read_rows(path: str) -> dict[str, np.ndarray]:
 
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: a missing column, or a row with a gap, a text, NaN, a time that does not follow
-            or a value in other units; with the file and the line.
+        ValueError: see `csv_rows.rows`; a missing column, a time that does not follow or a value in
+            other units; with the file and the line.
     """
-    with open(path, encoding='utf-8-sig', newline='') as file:
-        try:
-            lines = csv.reader(file)
-            header = [name.strip() for name in next(lines, [])]
-            lacking = [name for name in COLUMNS if name not in header]
-            if lacking:
+
+    def numbers_of(header):
+        if lacking := [name for name in COLUMNS if name not in header]:
+            raise ValueError(
+                f'{path}, line 1: lacks the columns {lacking}; found {header}, expected '
+                f'{",".join(COLUMNS)} and perhaps {ACROSS}, {LOAD}'
+            )
+        return [name for name in header if name in (*COLUMNS, ACROSS, LOAD)]
+
+    rows, numbers = [], []
+    for number, texts, values in csv_rows.rows(path, numbers_of):
+        for name in {'x_m', 'y_m', ACROSS} & values.keys():
+            if abs(values[name]) > MAX_PLACE:
                 raise ValueError(
-                    f'{path}, line 1: lacks the columns {lacking}; found {header}, expected '
-                    f'{",".join(COLUMNS)} and perhaps {ACROSS}, {LOAD}'
+                    f'{path}, line {number}: {name} is {texts[name]}, farther than {MAX_PLACE} m '
+                    'from the origin; are these millimetres?'
                 )
-            if len(set(header)) < len(header):
-                raise ValueError(f'{path}, line 1: a column stands there twice: {header}')
-            names = [name for name in header if name in (*COLUMNS, ACROSS, LOAD)]
-            rows, numbers = [], []
-            for cells in lines:
-                if not any(cell.strip() for cell in cells):
-                    continue  # an empty line
-                rows.append(_row(cells, header, names, f'{path}, line {lines.line_num}'))
-                numbers.append(lines.line_num)
-                if len(rows) > MAX_ROWS:
-                    raise ValueError(f'{path}: has more than {MAX_ROWS} rows')
-        except (UnicodeDecodeError, csv.Error) as error:
-            raise ValueError(f'{path}: is no CSV text: {error}') from error
+        if len(rows) == MAX_ROWS:
+            raise ValueError(f'{path}: has more than {MAX_ROWS} rows')
+        rows.append(values)
+        numbers.append(number)
     if len(rows) < 2:
         raise ValueError(f'{path}: has {len(rows)} rows, at least 2 are needed')
-    columns = dict(zip(names, np.array(rows).T))
+    columns = {name: np.array([row[name] for row in rows]) for name in rows[0]}
     _check_times(path, columns['time_s'], numbers)
     columns['time_s'] = columns['time_s'] - columns['time_s'][0]
     return columns
 
 
-def _row(cells, header, names, where) -> list[float]:
-    """The values of one line, in the order of `names`."""
-    if len(cells) != len(header):
-        raise ValueError(f'{where}: has {len(cells)} cells, the header {len(header)}')
-    values = []
-    for name in names:
-        text = cells[header.index(name)].strip()
-        try:
-            value = float(text)
-        except ValueError:
-            what = 'is missing' if not text else f'is {text!r}, no number'
-            raise ValueError(f'{where}: {name} {what}') from None
-        if not math.isfinite(value):
-            raise ValueError(f'{where}: {name} is {text}')
-        if name in ('x_m', 'y_m', ACROSS) and abs(value) > MAX_PLACE:
-            raise ValueError(
-                f'{where}: {name} is {text}, farther than {MAX_PLACE} m from the origin; are these '
-                'millimetres?'
-            )
-        values.append(value)
-    return values
-
-
 def _check_times(path, times, numbers) -> None:
-    """Refuses times that do not ascend, leave a gap, or last too long."""
     steps = np.diff(times)
     k, usual, lasts = int(np.argmin(steps)), float(np.median(steps)), times[-1] - times[0]
     if not steps[k] > 0.0:
@@ -153,12 +120,8 @@ def _check_times(path, times, numbers) -> None:
 
 
 def recorded_drive(scene: scenes.Scene, recording: Recording) -> tuple[Drive, dict, float]:
-    """Returns the drive along the path of a file, its parameters (JSON-compatible), its seconds.
-
-    Raises:
-        FileNotFoundError: there is no such file.
-        ValueError: see `read_rows`.
-    """
+    """Returns the drive along the path of a file, its parameters (JSON-compatible), its seconds;
+    raises as `read_rows`."""
     from scipy.interpolate import PchipInterpolator  # slow to load, and help does not wait for it
 
     rows, tool = read_rows(recording.path), recording.tool
