@@ -28,23 +28,14 @@ from pca_tools.storage import folder_lock
 
 
 def append(
-    raw_path: str,
-    data_path: str,
-    check_units: bool = True,
-    match_particles: bool = False,
+    raw_path: str, data_path: str, check_units: bool = True, match_particles: bool = False
 ) -> dict[str, Any]:
-    """Adds the runs of a raw folder to a dataset.
-
-    Args:
-        raw_path: raw runs of the same scene and packing; all of them name a split.
-        data_path: a dataset of `convert` with a particle sample; replaced as a whole.
-        check_units: of `convert`.
-        match_particles: of `convert`.
+    """Adds the runs of a raw folder, of the same scene and packing, all of which name a split, to a
+    dataset of `convert` with a particle sample.
 
     Returns:
         The metadata of the larger dataset. Truncation errors are kept for those numbers of modes
-        that the subspace has. Scene and statistics are those of the smaller one, the bounds hold
-        both.
+        that the subspace has; the bounds hold both.
 
     Raises:
         FileNotFoundError: a folder or file is missing.
@@ -80,11 +71,8 @@ def append(
 def _encode_new(
     runs: RawRuns, held: encode.Contents, data_path: str
 ) -> dict[str, list[EncodedRun]]:
-    """Returns split -> the runs that the dataset does not hold.
-
-    Raises:
-        ValueError: there is none, one is held with other content, or they name no split.
-    """
+    """Returns split -> the runs that the dataset does not hold; ValueError if there is none, one is
+    held with other content, or they name no split."""
     sample = particles.read_sample(data_path, next(iter(held.parts)))
     records = {convert.run_key(run.parameters): run for part in held.parts.values() for run in part}
     new, twice = [], {}
@@ -117,16 +105,10 @@ def _encode_new(
 
 
 def _are_equal(
-    made: EncodedRun,
-    held: EncodedRun,
-    sample: particles.ParticleSample,
-    grid: heights.Grid | None,
+    made: EncodedRun, held: EncodedRun, sample: particles.ParticleSample, grid: heights.Grid | None
 ) -> bool:
-    """Whether two records are of one run.
-
-    Packed records hold scores in whole steps and rigid particles as the pose puts them; everything
-    else is kept bit for bit.
-    """
+    """Whether two records are of one run. Packed records hold scores in whole steps and rigid
+    particles as the pose puts them; everything else is kept bit for bit."""
     ours, theirs = made.trajectory, held.trajectory
     if ours.position.shape != theirs.position.shape:
         return False

@@ -13,9 +13,8 @@ HELP = ('-h', '--help', '-help', '--helpshort', '--helpfull', '--helpxml')
 def start(run: Callable, n_argument: int = 0, usage: str = '') -> None:
     """Runs a command as the main program; its flags are defined already.
 
-    A question for help ends with exit code 0. `ValueError`, `OSError` and a package that is not
-    installed end in one line that begins with `error:`, with exit code 1; so does an argument that
-    is no flag.
+    A question for help ends with exit code 0. `ValueError`, `OSError`, a package that is not
+    installed and an argument that is no flag end in one line that begins with `error:`, with 1.
 
     Args:
         run: called with the values of the flags, and, where it takes arguments, a list of these;
@@ -56,10 +55,7 @@ def start_quietly(run: Callable, n_argument: int = 0, usage: str = '') -> None:
 
 def printable(text: object) -> str:
     """Returns a message as it may be printed: what files and names hold cannot control a terminal.
-
-    Control characters become escapes, line breaks and tabs stay; what is longer than a few
-    thousand characters is cut.
-    """
+    Control characters become escapes, line breaks and tabs stay; a long one is cut."""
     shown = ''.join(
         character if character.isprintable() or character in '\n\t' else repr(character)[1:-1]
         for character in str(text)[: _MAX_MESSAGE + 1]

@@ -175,8 +175,7 @@ def _refuse_trained_on(like: str, base: dict[str, Any], runs: RawRuns) -> None:
 
 
 def run_key(parameters: dict[str, Any]) -> tuple[Any, str]:
-    """Returns what tells a run from all others: case numbers count anew in every kind (grid, driven
-    paths)."""
+    """What tells a run from all others: case numbers count anew in every kind."""
     return parameters.get('kind'), str(parameters.get('case'))
 
 

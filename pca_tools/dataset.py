@@ -32,6 +32,11 @@ SCORE_RESOLUTION = 1e-6
 POSE_TOLERANCE = 2e-6
 
 
+def rigid_type(rigid_motion: str) -> int:
+    """The type of a rigid particle whose body has a motion of `metadata.RIGID_MOTIONS`."""
+    return KINEMATIC_PARTICLE_ID if rigid_motion == 'prescribed' else RIGID_PARTICLE_ID
+
+
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class FrameSeries:
     """What a run may have beside positions, float32 with T frames first, each or None.
@@ -86,26 +91,21 @@ class Trajectory(FrameSeries):
 
     @property
     def n_rigid(self) -> int:
-        """R, counted in this record and not taken from the metadata."""
+        """R of this record."""
         return int(np.count_nonzero(self.particle_type != MODE_PARTICLE_ID))
 
     @property
     def n_modes(self) -> int:
-        """r, counted in this record."""
+        """r of this record."""
         return len(self.particle_type) - self.n_rigid
 
     @property
     def n_frames(self) -> int:
-        """T, all stored frames."""
+        """T."""
         return self.position.shape[0]
 
 
 def split_path(folder: str, split: str) -> str:
-    """Returns the path of a split's record file.
-
-    Raises:
-        ValueError: `split` is not one of train, valid, test.
-    """
     if split not in SPLITS:
         raise ValueError(f'split {split!r} is not one of {SPLITS}')
     return os.path.join(folder, f'{split}.tfrecord')
@@ -114,15 +114,12 @@ def split_path(folder: str, split: str) -> str:
 def read_split(folder: str, split: str) -> list[Trajectory]:
     """Returns all runs of a split, in file order, each checked against metadata and manifest.
 
-    Args:
-        folder: dataset folder, ours or the authors' (which have neither manifest nor scene).
-        split: train, valid or test.
+    The folder may be ours or the authors' (which have neither manifest nor scene).
 
     Raises:
         FileNotFoundError: the folder, its metadata or the split is missing.
         ValueError: a file is damaged, foreign, a git-lfs pointer or not the one in the manifest, or
-            a record does not fit the metadata or holds NaN; the message names file, record and
-            frame and says what to do.
+            a record does not fit the metadata or holds NaN; with file, record, frame and remedy.
     """
     metadata = read_metadata(folder)
     path = split_path(folder, split)
@@ -148,18 +145,13 @@ def read_split(folder: str, split: str) -> list[Trajectory]:
 
 
 def _identity(path: str) -> tuple[int, int, int]:
-    """Which file a path leads to now."""
     status = os.stat(path)
     return status.st_dev, status.st_ino, status.st_size
 
 
 def read_records_as_trajectories(path: str) -> list[Trajectory]:
-    """Reads the runs of one record file without holding them against any metadata.
-
-    Raises:
-        FileNotFoundError: there is no such file.
-        ValueError: see `tfrecord_io.read_records`; also buffers whose sizes do not fit each other.
-    """
+    """Reads the runs of one record file without holding them against any metadata; raises as
+    `tfrecord_io.read_records`, and ValueError for buffers whose sizes do not fit each other."""
     return [
         _trajectory_from_record(record, f'{path}: record {index}')
         for index, record in enumerate(tfrecord_io.read_records(path))
@@ -238,9 +230,8 @@ def _rigid_shape(rigid: np.ndarray, pose: np.ndarray) -> np.ndarray | None:
 def trajectory_problems(trajectory: Trajectory, metadata: dict[str, Any]) -> list[str]:
     """Returns what is wrong with a run under a dataset's metadata, one sentence each.
 
-    The rigid count is taken from the record: `particles_rigid` of the authors' metadata (15) is
-    wrong for half of their runs (20), which is a finding of `pca_tools.inspect` and no reason not
-    to read them.
+    The rigid count is the record's: `particles_rigid` of the authors' metadata (15) is wrong for
+    half of their runs (20), of which `pca_tools.inspect` tells.
     """
     problems = []
     types, n_modes = trajectory.particle_type, metadata['mode_number']
@@ -273,7 +264,6 @@ def trajectory_problems(trajectory: Trajectory, metadata: dict[str, Any]) -> lis
 
 
 def _series_problems(trajectory: Trajectory) -> list[str]:
-    """Returns what is wrong with the shapes and values of a run."""
     problems = []
     for name, shape in {'position': (len(trajectory.particle_type), DIM), **FRAME_SERIES}.items():
         values = getattr(trajectory, name)
@@ -295,13 +285,8 @@ def has_shape(values: np.ndarray, n_frames: int, of_frame: tuple) -> bool:
 
 
 def non_finite_problems(values: np.ndarray, name: str, point: str = 'node') -> list[str]:
-    """Returns a sentence that counts values that are not finite, with the place of the first.
-
-    Args:
-        values: [T, points, axes] or [T, axes].
-        name: of the series.
-        point: what a point is called.
-    """
+    """Returns a sentence that counts values [T, points, axes] or [T, axes] that are not finite,
+    with the place of the first; `point` is what a point is called."""
     bad = np.argwhere(~np.isfinite(values))
     if not len(bad):
         return []
@@ -311,12 +296,10 @@ def non_finite_problems(values: np.ndarray, name: str, point: str = 'node') -> l
 
 
 def write_split(path: str, trajectories: Sequence[Trajectory], packed: bool = False) -> int:
-    """Writes runs as a TFRecord file, whole or not at all; returns the number of records.
+    """Writes runs as a TFRecord file, packed or plain (see above), whole or not at all.
 
-    Args:
-        path: `<folder>/<split>.tfrecord`.
-        trajectories: the runs, in file order.
-        packed: the form of the records, see above.
+    Returns:
+        The number of records.
 
     Raises:
         ValueError: shapes that do not fit each other, or NaN.

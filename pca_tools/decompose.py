@@ -17,10 +17,8 @@ RUNS_PER_TASK = 16
 
 
 def mean_configuration(runs, names, centering, progress) -> tuple[np.ndarray, int, float]:
-    """Returns the mean ([N, 3] or []), the number of rows and the largest coordinate in magnitude.
-
-    Refuses runs that cannot be fitted.
-    """
+    """Returns the mean ([N, 3] or []), the number of rows and the largest coordinate in magnitude;
+    refuses runs that cannot be fitted."""
     total, frames, n_soil, largest = 0.0, 0, None, 0.0
     for name, run in zip(names, progress(runs, 'mean')):
         if run.ndim != 3 or run.shape[2] != DIM or run.shape[1] == 0:
@@ -80,12 +78,9 @@ def decompose_covariance(runs, mean, n_soil, length, progress, crew=None):
         covariance = _sum_in_parts(crew, runs, mean, n_soil, progress)
     energy = float(np.trace(covariance))
     values, vectors = linalg.eigh(
-        covariance,
-        lower=False,
-        overwrite_a=True,
-        check_finite=False,
+        covariance, lower=False, overwrite_a=True, check_finite=False,
         subset_by_index=[n_soil - length, n_soil - 1],
-    )
+    )  # fmt: skip
     return np.sqrt(np.maximum(values[::-1], 0.0)), vectors[:, ::-1], energy
 
 
@@ -102,11 +97,8 @@ def sum_covariance(part: tuple) -> np.ndarray:
 
 
 def _sum_in_parts(crew, runs, mean, n_soil, progress) -> np.ndarray:
-    """Sums covariances on workers, each a part of the runs.
-
-    The parts do not depend on the number of workers and are added in their order, so neither does
-    the sum.
-    """
+    """Sums covariances on workers, each a part of the runs. The parts do not depend on the number
+    of workers and are added in their order, so neither does the sum."""
     starts = range(0, len(runs), RUNS_PER_TASK)
     parts = [(runs.part(start, start + RUNS_PER_TASK), mean, n_soil) for start in starts]
     total, early = np.zeros((n_soil, n_soil), order='F'), {}

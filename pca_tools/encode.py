@@ -1,8 +1,6 @@
 """What a dataset holds of its runs, in memory: made of raw runs, read from a folder, written.
 
-A dataset is `{train,valid,test}.tfrecord`, metadata, subspace, a sample of the particles of each
-split (`particles_<split>.npz`), the heights of the soil where the raw runs have them
-(`heights_<split>.npz`), and a manifest. `convert`, `append` and `subset` only choose which
+The files of a dataset are those of `pca_tools.convert`; it, `append` and `subset` only choose which
 runs these are.
 """
 
@@ -33,22 +31,15 @@ CONNECTIVITY_RADIUS = 0.025
 
 @dataclasses.dataclass(frozen=True)
 class EncodedRun:
-    """One run in the subspace, with what its record in the metadata says.
+    """One run in the subspace, with what its record in the metadata says."""
 
-    Attributes:
-        trajectory: the record.
-        parameters: all parameters of the case.
-        details: see `projection_details`.
-        floors: number of modes -> mean squared error in m^2 that they leave.
-        sample: packed particles and their number of frames, see `pca_tools.particles`.
-        heights: the same of the map of heights, see `pca_tools.heights`, or None.
-    """
-
-    trajectory: dataset.Trajectory
-    parameters: dict[str, Any]
-    details: dict[str, float]
-    floors: dict[int, float]
+    trajectory: dataset.Trajectory  # the record
+    parameters: dict[str, Any]  # all parameters of the case
+    details: dict[str, float]  # see `projection_details`
+    floors: dict[int, float]  # number of modes -> mean squared error in m^2 that they leave
+    # Packed particles and their number of frames, see `pca_tools.particles`
     sample: tuple[bytes, int]
+    # The same of the map of heights, see `pca_tools.heights`, or None
     heights: tuple[bytes, int] | None = None
 
 
@@ -57,28 +48,19 @@ Parts = Mapping[str, Sequence[EncodedRun]]  # by split
 
 @dataclasses.dataclass(frozen=True)
 class Contents:
-    """A whole dataset in memory.
+    """A whole dataset in memory."""
 
-    Attributes:
-        parts: split -> runs, in the order of their records.
-        space: their subspace.
-        sampled: int [P], which particles are kept as such.
-        metadata: of `make_metadata`.
-        grid: where the map of heights of every run lies; None without one.
-    """
-
-    parts: Parts
-    space: Subspace
-    sampled: np.ndarray
-    metadata: dict[str, Any]
-    grid: heights.Grid | None = None
+    parts: Parts  # split -> runs, in the order of their records
+    space: Subspace  # their subspace
+    sampled: np.ndarray  # int [P], which particles are kept as such
+    metadata: dict[str, Any]  # of `make_metadata`
+    grid: heights.Grid | None = None  # where the map of heights of every run lies; None without one
 
     def with_parts(self, parts: Parts, world: Mapping[str, Any] | None = None) -> Contents:
         """Returns a dataset of other runs in the same subspace, with the same statistics.
 
-        Args:
-            parts: its runs; splits without any are left out.
-            world: `scene`, `bounds` and `dt` of those that are new.
+        `world` is `scene`, `bounds` and `dt` of those that are new; splits without runs are left
+        out.
         """
         parts = {split: part for split, part in parts.items() if part}
         base = self.metadata
@@ -99,9 +81,6 @@ def encode_runs(
         space: subspace of at least `n_modes` modes; further ones only give floors.
         n_modes: r, modes in the records.
         sampled: int [P], particles to keep as such.
-
-    Raises:
-        ValueError: a run is damaged.
     """
     kept, encoded = space.truncated(n_modes), []
     for index in tqdm(indices, desc='encode', unit='run'):
@@ -126,12 +105,7 @@ def encode_runs(
 def projection_details(
     positions: np.ndarray, space: Subspace, scores: np.ndarray
 ) -> dict[str, float]:
-    """Measures what is lost between particles and scores.
-
-    Args:
-        positions: [T, N, 3] metres.
-        space: the subspace.
-        scores: [T, r, 3] encoded positions.
+    """Measures what is lost between particles [T, N, 3] (m) and their scores [T, r, 3] (m).
 
     Returns:
         `projection_mse` in m^2 over frames, particles and axes; `projection_max_mm`, the farthest
@@ -153,11 +127,8 @@ def projection_details(
 def _floors(
     positions: np.ndarray, space: Subspace, scores: np.ndarray, n_modes: int
 ) -> dict[int, float]:
-    """Returns the truncation error of one run against the number of modes, m^2.
-
-    Components are orthonormal: each mode takes its squared scores off the squared distance to the
-    mean.
-    """
+    """Truncation error of one run against the number of modes, m^2. Components are orthonormal:
+    each mode takes its squared scores off the squared distance to the mean."""
     energy = np.sum((positions - space.mean) ** 2)
     left = energy - np.cumsum(np.sum(scores**2, axis=(0, 2)))
     return {
@@ -168,37 +139,24 @@ def _floors(
 
 
 def _trajectory(run: RawRun, scores: np.ndarray, scene: dict[str, Any]) -> dataset.Trajectory:
-    """Returns the record of a run; scores [T, r, 3], scene of the raw runs."""
     one = {'rigid_motion': scene['rigid_motion'], 'points': run.rigid_positions.shape[1]}
-    types = [
-        np.full(
-            body['points'],
-            dataset.KINEMATIC_PARTICLE_ID
-            if body['rigid_motion'] == 'prescribed'
-            else dataset.RIGID_PARTICLE_ID,
-        )
-        for body in scene.get('bodies', [one])
-    ]
-    types.append(np.full(scores.shape[1], dataset.MODE_PARTICLE_ID))
+    bodies = scene.get('bodies', [one])
+    kinds = [dataset.rigid_type(body['rigid_motion']) for body in bodies]
+    counts = [body['points'] for body in bodies]
+    types = np.repeat([*kinds, dataset.MODE_PARTICLE_ID], [*counts, scores.shape[1]])
     context = run.step_context
     if context is None and len(run.context):
         context = np.tile(run.context.astype(np.float32), (len(scores), 1))
     series = {name: getattr(run, name) for name in dataset.FRAME_SERIES} | {'step_context': context}
-    return dataset.Trajectory(
-        0,
-        np.concatenate(types).astype(np.int64),
-        np.concatenate([run.rigid_positions, scores.astype(np.float32)], axis=1),
-        **series,
-    )
+    position = np.concatenate([run.rigid_positions, scores.astype(np.float32)], axis=1)
+    return dataset.Trajectory(0, types.astype(np.int64), position, **series)
 
 
 def load(data_path: str) -> Contents:
     """Reads a dataset with a particle sample: its runs as they were when it was written.
 
     The truncation error by number of modes is kept for a split, not for a run: each has its mean.
-
-    Raises:
-        FileNotFoundError, ValueError: there is none, or its files do not fit each other.
+    FileNotFoundError, ValueError: there is none, or its files do not fit each other.
     """
     metadata, space = load_space(data_path)
     listed = files.check_manifest(data_path, ()) or {}
@@ -237,12 +195,8 @@ def load_space(data_path: str) -> tuple[dict[str, Any], Subspace]:
 
 
 def refuse_occupied_output(output_path: str, overwrite: bool) -> None:
-    """Raises unless the output is absent, empty, or a finished dataset that may be replaced.
-
-    Raises:
-        ValueError: the folder holds something; the message says what to do.
-        OSError: nothing can be written beside it.
-    """
+    """Raises ValueError, with what to do, unless the output is absent, empty, or a finished dataset
+    that may be replaced; OSError if nothing can be written beside it."""
     above = os.path.realpath(output_path)
     if not os.path.ismount(above):  # which is filled from inside
         above = os.path.dirname(above)
@@ -275,8 +229,7 @@ def refuse_occupied_output(output_path: str, overwrite: bool) -> None:
 
 
 def write(output_path: str, contents: Contents, overwrite: bool) -> None:
-    """Writes a dataset: all files beside the output, the manifest last, and then the folder takes
-    its name."""
+    """Writes a dataset as a whole: all files beside the output, the manifest last."""
     space, metadata, sampled = contents.space, contents.metadata, contents.sampled
 
     def fill(folder: str) -> None:
@@ -384,5 +337,4 @@ def make_metadata(
 
 
 def _mean_floors(part: Sequence[EncodedRun]) -> list[float]:
-    """Returns the mean floors of a split, as many as `projection_floors.modes`, m^2."""
     return np.mean([list(run.floors.values()) for run in part], axis=0).tolist()

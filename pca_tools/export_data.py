@@ -34,32 +34,18 @@ from pca_tools.raw_runs import RawRuns
 from pca_tools.subspace import SUBSPACE_NAME, Subspace
 
 
-def export_data(
-    data_path: str,
-    output_path: str,
-    format_name: str,
-    *,
-    raw_path: str | None = None,
-    rollouts: str | None = None,
-    splits: Sequence[str] = SPLITS,
-    particle_stride: int = 1,
-) -> str:
-    """Exports a dataset; arguments as the flags of the same names.
-
-    Returns:
-        What was done, in one line.
+def export_data(data_path: str, output_path: str, format_name: str, **chosen: Any) -> str:
+    """Exports what of a dataset is `chosen` (`full_space_of`); returns what was done.
 
     Raises:
         FileNotFoundError: a folder or file is missing.
         ValueError: damaged data, data that the format cannot hold, or an output that is not empty.
     """
-    if particle_stride < 1:
-        raise ValueError(f'particle_stride is {particle_stride}, at least 1 was expected')
     if os.path.isdir(output_path) and os.listdir(output_path):
         raise ValueError(f'{output_path}: is not empty; name another folder')
-    data = full_space_of(data_path, raw_path, rollouts, splits, particle_stride)
+    data = full_space_of(data_path, **chosen)
     if next(data.runs(), None) is None:
-        raise ValueError(f'{data_path}: holds no runs of {list(splits)}')
+        raise ValueError(f'{data.source}: holds no runs of {chosen.get("splits", SPLITS)}')
     module = detect.FORMATS[format_name]
     files.write_folder_atomically(
         output_path, lambda folder: module.write(folder, data), replace=False
@@ -75,7 +61,10 @@ def full_space_of(
     splits: Sequence[str] = SPLITS,
     particle_stride: int = 1,
 ) -> FullSpaceData:
-    """Returns a dataset, or rollouts on it, as trajectories of particles: body first, then soil."""
+    """Returns a dataset, or rollouts on it, as trajectories of particles: body first, then soil;
+    arguments as the flags of the same names."""
+    if particle_stride < 1:
+        raise ValueError(f'particle_stride is {particle_stride}, at least 1 was expected')
     metadata = dataset.read_metadata(data_path)
     scene = metadata.get('scene', {})
     raw, space = None, None
@@ -138,7 +127,6 @@ def _records(data_path: str, metadata: dict[str, Any], splits: Sequence[str]) ->
 
 
 def _rollout_paths(path: str) -> list[str]:
-    """Returns the path of one rollout file, or those of all in a folder."""
     names = sorted(os.listdir(path)) if os.path.isdir(path) else []
     held = [n for n in names if n.startswith('rollout_') and n.endswith('.npz')]
     if os.path.isdir(path) and not held:

@@ -1,9 +1,7 @@
 """Files that are written whole or not at all, and read only when they are what they claim to be.
 
-Every writer goes through `write_atomically` and `write_folder_atomically`
-(`pca_tools.storage.whole_files`).
-A folder is finished when its `manifest.json`, written last, lists each file with its bytes and
-sha256.
+Every writer goes through those of `pca_tools.storage.whole_files`. A folder is finished when its
+`manifest.json`, written last, lists each file with its bytes and sha256.
 """
 
 from __future__ import annotations
@@ -21,14 +19,11 @@ from typing import Any
 
 import numpy as np
 
-from pca_tools.command import printable as printable
-from pca_tools.storage import whole_files
-
-write_atomically = whole_files.write_file
-write_folder_atomically = whole_files.write_folder
-replace_files = whole_files.replace_files
-write_json = whole_files.write_json
-write_text = whole_files.write_text
+from pca_tools.storage.whole_files import replace_files as replace_files
+from pca_tools.storage.whole_files import write_atomically as write_atomically
+from pca_tools.storage.whole_files import write_folder_atomically as write_folder_atomically
+from pca_tools.storage.whole_files import write_json as write_json
+from pca_tools.storage.whole_files import write_text as write_text
 
 MANIFEST_NAME = 'manifest.json'
 # A raw run of 321 frames x 5000 particles is 19 MB; a file we read is never near this.
@@ -61,17 +56,10 @@ def read_json(path: str) -> Any:
 
 
 def write_npz(path: str, **arrays: Any) -> None:
-    """Writes arrays as a compressed `.npz` without pickles, whole or not at all.
-
-    Raises:
-        ValueError: an array holds Python objects.
-    """
+    """Writes arrays as a compressed `.npz`, whole or not at all; ValueError for Python objects."""
     plain = {name: np.asarray(array) for name, array in arrays.items()}
-    for name, array in plain.items():
-        if array.dtype.hasobject:
-            raise ValueError(
-                f'{path}: array {name!r} holds Python objects; only plain arrays are written'
-            )
+    if objects := [name for name, array in plain.items() if array.dtype.hasobject]:
+        raise ValueError(f'{path}: array {objects[0]!r} holds Python objects, not plain numbers')
 
     def write(temporary: str) -> None:
         with open(temporary, 'wb') as file:  # by handle: numpy appends .npz to a name
@@ -81,23 +69,20 @@ def write_npz(path: str, **arrays: Any) -> None:
 
 
 def read_npz(path: str, only: Sequence[str] | None = None) -> dict[str, np.ndarray]:
-    """Reads the arrays of a `.npz` file, without pickles and never more than the headers promise.
-
-    Args:
-        path: the file.
-        only: names of the arrays to read, those of them that are there; None for all.
+    """Reads the arrays of a `.npz` file (of them those in `only`, None: all), without pickles and
+    never more than the headers promise.
 
     Raises:
         FileNotFoundError: there is no such file.
         ValueError: git-lfs pointer, not a zip file, truncated, damaged, an object array, arrays of
             more than `MAX_BYTES` together, or a member whose header disagrees with its size.
     """
-    arrays: dict[str, np.ndarray] = {}
     with opened_npz(path) as members:
-        for name, file, size in members:
-            if only is None or name in only:
-                arrays[name] = _read_array(file, size)
-    return arrays
+        return {
+            name: _read_array(file, size)
+            for name, file, size in members
+            if only is None or name in only
+        }
 
 
 @contextlib.contextmanager
@@ -137,11 +122,8 @@ def opened_npz(path: str) -> Iterator[Iterator[tuple[str, Any, int]]]:
 
 
 def _refuse_lost_members(path: str, archive: zipfile.ZipFile) -> None:
-    """Holds the members of an archive against the number that its last record states.
-
-    One flipped bit in the length of a directory entry swallows the entries after it, and every
-    member that is left has a right checksum; `zipfile` reads it without a word.
-    """
+    """One flipped bit in the length of a directory entry swallows the entries after it, and every
+    member that is left has a right checksum; `zipfile` reads it without a word."""
     with open(path, 'rb') as file:
         file.seek(0, 2)
         file.seek(max(0, file.tell() - _ZIP_END_BYTES - _MAX_COMMENT))
@@ -154,13 +136,7 @@ def _refuse_lost_members(path: str, archive: zipfile.ZipFile) -> None:
 
 
 def read_npy(path: str) -> np.ndarray:
-    """Reads a `.npy` file of at most `MAX_BYTES`, without pickles and never more than it holds.
-
-    Raises:
-        FileNotFoundError: there is no such file.
-        ValueError: git-lfs pointer, foreign or damaged file, an object array, or a header that
-            disagrees with the size.
-    """
+    """Reads a `.npy` file of at most `MAX_BYTES`; raises as `read_npz`."""
     refuse_git_lfs_pointer(path)
     size = os.path.getsize(path)
     try:
@@ -178,11 +154,8 @@ def _reason(error: Exception) -> str:
 
 
 def read_npy_header(file: Any) -> tuple[tuple[int, ...], bool, np.dtype]:
-    """Returns shape, whether the order is Fortran's, and type of the `.npy` array that begins here.
-
-    Raises:
-        ValueError: it is none, or of a format that is not read.
-    """
+    """Returns shape, whether the order is Fortran's, and type of the `.npy` array that begins here;
+    ValueError if it is none, or of a format that is not read."""
     version = np.lib.format.read_magic(file)
     if version == (1, 0):
         return np.lib.format.read_array_header_1_0(file)
@@ -214,13 +187,8 @@ def _read_array(file: Any, size: int) -> np.ndarray:
 
 
 def refuse_git_lfs_pointer(path: str) -> None:
-    """Refuses what is no file, empty, or the small text that git-lfs leaves for a large file.
-
-    Raises:
-        FileNotFoundError: there is no such file.
-        ValueError: a folder, an empty file, or a pointer: how large the real file is and how to get
-            it.
-    """
+    """Raises FileNotFoundError, or ValueError for a folder, an empty file, or the small text that
+    git-lfs leaves for a large file: how large that is and how to get it."""
     if os.path.isdir(path):
         raise ValueError(f'{path}: is a folder, a file was expected')
     if not os.path.exists(path):
@@ -249,31 +217,24 @@ def fingerprint(path: str) -> dict[str, Any]:
     return {'bytes': os.path.getsize(path), 'sha256': sha256_of_file(path)}
 
 
-def write_manifest(
-    folder: str, files: dict[str, dict[str, Any]], name: str = MANIFEST_NAME
-) -> None:
+def write_manifest(folder: str, files: dict[str, dict[str, Any]]) -> None:
     """Writes `manifest.json`, the last file of a finished folder.
 
     Args:
         folder: holds the files.
-        files: file name (no folders) -> facts to record beside bytes and sha256, such as
-            `{'records': 32}`.
-        name: of the manifest, for a folder that has several.
+        files: file name -> facts to record beside bytes and sha256, such as `{'records': 32}`.
     """
     entries = {
         file: {**fingerprint(os.path.join(folder, file)), **facts} for file, facts in files.items()
     }
-    write_json(os.path.join(folder, name), {'schema_version': 1, 'files': entries})
+    write_json(os.path.join(folder, MANIFEST_NAME), {'schema_version': 1, 'files': entries})
 
 
 def check_manifest(
     folder: str, names: Iterable[str] | None = None
 ) -> dict[str, dict[str, Any]] | None:
-    """Holds the files of a folder against its manifest.
-
-    Args:
-        folder: the folder.
-        names: only these files (each must be listed); None for all that the manifest lists.
+    """Holds the files of a folder (those of `names`, None: all that are listed) against its
+    manifest.
 
     Returns:
         file name -> its manifest entry, or None if the folder has no manifest (the authors').
@@ -306,17 +267,12 @@ def check_manifest(
 
 def _check_entry(path: str, entry: dict[str, Any]) -> None:
     if not os.path.exists(path):
-        raise ValueError(
-            f'{path}: the manifest lists this file but it is missing; copy the folder again'
-        )
-    size = os.path.getsize(path)
-    if size != entry['bytes']:
+        raise ValueError(f'{path}: the manifest lists it but it is missing; copy the folder again')
+    if (size := os.path.getsize(path)) != entry['bytes']:
         refuse_git_lfs_pointer(path)
-        raise ValueError(
-            f'{path}: has {size} bytes, the manifest says {entry["bytes"]}; copy or make it again'
-        )
-    if sha256_of_file(path) != entry['sha256']:
-        raise ValueError(
-            f'{path}: its content differs from the manifest (sha256 {entry["sha256"][:12]}... '
-            'expected); copy or make it again'
-        )
+        fault = f'has {size} bytes, the manifest says {entry["bytes"]}'
+    elif sha256_of_file(path) != entry['sha256']:
+        fault = f'its content differs from the manifest (sha256 {entry["sha256"][:12]}... expected)'
+    else:
+        return
+    raise ValueError(f'{path}: {fault}; copy or make it again')

@@ -3,7 +3,6 @@
 Raw runs may hold `heights` [T, nx, nz]: the coordinate of the soil's surface along the upward axis,
 over a grid of the two horizontal axes, metres (`mpm/height_map.py` says how our solver reads it).
 A dataset keeps every fourth frame, to within 0.05 mm: 2 to 47 kB a run of the solver's bins.
-Differences between neighbouring cells beside those in time save nothing more.
 """
 
 from __future__ import annotations
@@ -23,17 +22,11 @@ _SOLVER_CORNER = 0.1
 
 
 class Grid(NamedTuple):
-    """Where a map of heights lies, on the two horizontal axes in their order.
+    """Where a map of heights lies, on the two horizontal axes in their order."""
 
-    Attributes:
-        shape: cells nx, nz.
-        corner: x, z of the lower corner of cell [0, 0], m.
-        cell: sides of a cell, m.
-    """
-
-    shape: tuple[int, int]
-    corner: tuple[float, float]
-    cell: tuple[float, float]
+    shape: tuple[int, int]  # cells nx, nz
+    corner: tuple[float, float]  # x, z of the lower corner of cell [0, 0], m
+    cell: tuple[float, float]  # sides of a cell, m
 
     def __str__(self) -> str:
         (nx, nz), (x, z), cell = self
@@ -42,15 +35,10 @@ class Grid(NamedTuple):
 
 
 def grid_of(parameters: Mapping[str, Any], heights: np.ndarray | None) -> Grid | None:
-    """Returns where the map of a run lies, None for a run without heights.
+    """Returns where the map of a run (`heights` [T, nx, nz], m) lies, None for a run without one.
 
-    Args:
-        parameters: of the run: `heights_corner_m` and `heights_cell_m`, two numbers each; or
-            `bin_m`, as our solver writes: its map covers the whole bin.
-        heights: [T, nx, nz] m.
-
-    Raises:
-        ValueError: they do not say it.
+    Its parameters say `heights_corner_m` and `heights_cell_m`, two numbers each; or `bin_m`, as our
+    solver writes: its map covers the whole bin. Else: ValueError.
     """
     if heights is None:
         return None
@@ -111,25 +99,13 @@ def write(path: str, packed: Sequence[tuple[bytes, int]], grid: Grid) -> None:
 
 
 class Heights(PackedRuns):
-    """The maps of a split, unpacked one run at a time.
-
-    `maps[i]` is float64 [F, nx, nz] in metres, in frame `f * frame_stride` of record i. Beside the
-    attributes of `PackedRuns`:
-
-    Attributes:
-        corner: float64 [2], x and z of the lower corner of cell [0, 0], m.
-        cell: float64 [2], sides of a cell, m.
-    """
+    """The maps of a split, unpacked one run at a time: `maps[i]` is float64 [F, nx, nz], m, in
+    frame `f * frame_stride` of record i."""
 
     NAME, TITLE, KINDS = 'heights', 'height map', {'corner': ('f', 1), 'cell': ('f', 1)}
 
-    @property
-    def corner(self) -> np.ndarray:
-        return self._own['corner']
-
-    @property
-    def cell(self) -> np.ndarray:
-        return self._own['cell']
+    corner: np.ndarray  # float64 [2], x and z of the lower corner of cell [0, 0], m
+    cell: np.ndarray  # float64 [2], sides of a cell, m
 
     @property
     def grid(self) -> Grid:

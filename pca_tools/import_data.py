@@ -45,10 +45,7 @@ def import_data(
     force_scale: float = 1.0,
     check_units: bool = True,
 ) -> str:
-    """Imports a folder; arguments as the flags of the same names.
-
-    Returns:
-        What was done, in a few lines.
+    """Imports a folder; arguments as the flags of the same names. Returns what was done, as text.
 
     Raises:
         FileNotFoundError: there is no such folder.
@@ -105,14 +102,9 @@ def _lacking(data: full_space.FullSpaceData, up: int | None, reason: str | None)
 
 
 def explain(folder: str, format_name: str | None = None) -> str:
-    """Returns what a folder is and what to do with it, with the flags that it surely needs.
-
-    No run is read: where there are bounds the upward axis may follow from all of them.
-
-    Raises:
-        FileNotFoundError: there is no such folder.
-        ValueError: data that are not known, or damaged.
-    """
+    """Returns what a folder is and what to do with it, with the flags that it surely needs; raises
+    as `import_data`. No run is read: where there are bounds the upward axis may follow from all of
+    them."""
     kind = format_name or detect.detect(folder)
     text = detect.explain(kind, folder)
     if kind in detect.FORMATS:

@@ -15,8 +15,8 @@ import dataclasses
 import itertools
 import math
 import os
-from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -45,118 +45,107 @@ OK, WARN, ERROR = 'OK', 'WARN', 'ERROR'
 _MAX_NAMED = 5
 
 
-class Finding(NamedTuple):
-    """One result of a check: `OK`, `WARN` or `ERROR`, and a sentence: what is and what to do."""
-
-    level: str
-    text: str
-
-
-Findings = Iterator[Finding | tuple[str, str]]
-
-
 @dataclasses.dataclass
 class Inspection:
-    """What is in a dataset folder.
+    """What is in a dataset folder."""
 
-    Attributes:
-        folder: the folder.
-        metadata: its metadata, or None if unreadable.
-        splits: split -> readable runs.
-        findings: results of all checks.
-        n_soil: N, or None if nothing says it.
-    """
-
-    folder: str
-    metadata: dict[str, Any] | None = None
+    folder: str  # the folder
+    metadata: dict[str, Any] | None = None  # its metadata, or None if unreadable
+    # Split -> readable runs
     splits: dict[str, list[Trajectory]] = dataclasses.field(default_factory=dict)
-    findings: list[Finding] = dataclasses.field(default_factory=list)
-    n_soil: int | None = None
+    # Results of all checks: OK, WARN or ERROR, and a sentence: what is and what to do
+    findings: list[tuple[str, str]] = dataclasses.field(default_factory=list)
+    n_soil: int | None = None  # N, or None if nothing says it
 
     @property
     def runs(self) -> list[Trajectory]:
-        """All readable runs of all splits."""
         return [run for part in self.splits.values() for run in part]
+
+    def ok(self, text: str) -> None:
+        self.findings.append((OK, text))
+
+    def warn(self, text: str) -> None:
+        self.findings.append((WARN, text))
+
+    def error(self, text: str) -> None:
+        self.findings.append((ERROR, text))
 
     @property
     def failed(self) -> bool:
-        """True if any finding is an error."""
-        return any(finding.level == ERROR for finding in self.findings)
+        return any(level == ERROR for level, _ in self.findings)
 
     def of_split(self, key: str, split: str) -> list:
-        """Returns what the metadata hold under a key for each run of a split, [] for nothing."""
+        """What the metadata hold under a key for each run of a split, [] for nothing."""
         return self.metadata.get(key, {}).get(split, [])
 
 
 def inspect_folder(folder: str) -> Inspection:
-    """Runs all checks on a dataset folder, ours or the authors'.
-
-    Returns:
-        What was found; nothing is raised for a bad dataset.
-    """
+    """Runs all checks on a dataset folder, ours or the authors'; a bad one raises nothing."""
     found = Inspection(folder)
-    of_runs = (
-        _check_nodes, _check_frames, _check_case_ids, _check_duplicates, _check_statistics,
-        _check_motion, _check_truncation,
-    )  # fmt: skip
     _run(found, _check_metadata)
-    if found.metadata is not None:
-        for check in (_check_manifest, *(_read_split(split) for split in SPLITS)):
+    if found.metadata is None:
+        return found
+    _run(found, _check_manifest)
+    for split in SPLITS:
+        _run(found, _read_split, split)
+    if found.splits:
+        for check in (
+            _check_nodes, _check_frames, _check_case_ids, _check_duplicates, _check_statistics,
+            _check_motion, _check_truncation,
+        ):  # fmt: skip
             _run(found, check)
-        if not found.splits:
-            found.findings.append(Finding(ERROR, f'{folder}: holds no readable split'))
-        kept = [_check_kept(kind) for kind in (ParticleSample, Heights)]
-        for check in (*(of_runs * bool(found.splits)), *kept, _check_subspace):
-            _run(found, check)
-        _run(found, _check_pickles, WARN)
+    else:
+        found.error(f'{folder}: holds no readable split')
+    _run(found, _check_kept, ParticleSample)
+    _run(found, _check_kept, Heights)
+    _run(found, _check_subspace)
+    _run(found, _check_pickles)
     return found
 
 
-def _run(found: Inspection, check, level: str = ERROR) -> None:
-    """Adds the findings of a check; a file that cannot be read is one of the given level."""
+def _run(found: Inspection, check, *arguments) -> None:
+    """A file that cannot be read is an error."""
     try:
-        for finding in check(found):
-            found.findings.append(Finding(*finding))
+        check(found, *arguments)
     except (ValueError, OSError) as error:
-        found.findings.append(Finding(level, str(error)))
+        found.error(str(error))
 
 
-def _check_metadata(found: Inspection) -> Findings:
+def _check_metadata(found: Inspection) -> None:
     found.metadata = dataset.read_metadata(found.folder)
-    yield OK, 'metadata.json has all keys, with possible values'
+    found.ok('metadata.json has all keys, with possible values')
 
 
-def _check_manifest(found: Inspection) -> Findings:
+def _check_manifest(found: Inspection) -> None:
     entries = files.check_manifest(found.folder)
     if entries is None:
-        yield WARN, (
+        found.warn(
             'no manifest.json: a file cut at a record boundary would not be noticed; compare the '
             'record counts below with the source'
         )
     else:
-        yield OK, f'manifest: {len(entries)} files have the bytes and sha256 that it lists'
+        found.ok(f'manifest: {len(entries)} files have the bytes and sha256 that it lists')
 
 
-def _read_split(split: str):
-    def check(found: Inspection) -> Findings:
-        path = dataset.split_path(found.folder, split)
-        if not os.path.exists(path):
-            yield WARN, f'there is no {split}.tfrecord'
-            return
-        runs = dataset.read_records_as_trajectories(path)
-        is_good = True
-        for index, run in enumerate(runs):
-            for problem in dataset.trajectory_problems(run, found.metadata):
-                is_good = False
-                yield ERROR, f'{path}: record {index}: {problem}'
-        if is_good:
-            found.splits[split] = runs
-            yield OK, f'{split}: {len(runs)} records, complete, finite, as the metadata says'
+def _read_split(found: Inspection, split: str) -> None:
+    path = dataset.split_path(found.folder, split)
+    if not os.path.exists(path):
+        found.warn(f'there is no {split}.tfrecord')
+        return
+    runs = dataset.read_records_as_trajectories(path)
+    problems = [
+        f'{path}: record {index}: {problem}'
+        for index, run in enumerate(runs)
+        for problem in dataset.trajectory_problems(run, found.metadata)
+    ]
+    for problem in problems:
+        found.error(problem)
+    if not problems:
+        found.splits[split] = runs
+        found.ok(f'{split}: {len(runs)} records, complete, finite, as the metadata says')
 
-    return check
 
-
-def _check_nodes(found: Inspection) -> Findings:
+def _check_nodes(found: Inspection) -> None:
     """Rigid counts and node types against the metadata."""
     promised = found.metadata.get('particles_rigid')
     counts = collections.Counter(run.n_rigid for run in found.runs)
@@ -164,28 +153,27 @@ def _check_nodes(found: Inspection) -> Findings:
         held = ', '.join(
             f'{runs} of {len(found.runs)} runs have {n}' for n, runs in sorted(counts.items())
         )
-        yield WARN, (
+        found.warn(
             f'particles_rigid says {promised} but {held}; the count of each record is the one '
             'that is used'
         )
     scene = found.metadata.get('scene')
     if scene is None:
-        yield WARN, 'no scene in the metadata: what is prescribed follows from the node types'
+        found.warn('no scene in the metadata: what is prescribed follows from the node types')
     elif 'bodies' not in scene:  # of several each has its own motion, and its types with it
-        given = scene['rigid_motion'] == 'prescribed'
-        expected = dataset.KINEMATIC_PARTICLE_ID if given else dataset.RIGID_PARTICLE_ID
+        expected = dataset.rigid_type(scene['rigid_motion'])
         if wrong := sum(np.any(run.particle_type[: run.n_rigid] != expected) for run in found.runs):
-            yield ERROR, (
+            found.error(
                 f'{wrong} runs have rigid nodes that are not of type {expected}, which '
                 f'rigid_motion {scene["rigid_motion"]!r} asks for; convert the raw runs again'
             )
 
 
-def _check_frames(found: Inspection) -> Findings:
+def _check_frames(found: Inspection) -> None:
     """Frames that repeat, and keys that do not count."""
     runs = found.runs
     if repeated := sum(np.array_equal(run.position[0], run.position[1]) for run in runs):
-        yield WARN, (
+        found.warn(
             f'{repeated} of {len(runs)} runs begin with the same frame twice: their first '
             'velocity is 0, and frame 0 is not a state of its own'
         )
@@ -196,43 +184,43 @@ def _check_frames(found: Inspection) -> Findings:
         if np.array_equal(run.position[0], run.position[-1])
     ]
     if still:
-        yield WARN, f'nothing moves from first to last frame in the records {still[:_MAX_NAMED]}'
+        found.warn(f'nothing moves from first to last frame in the records {still[:_MAX_NAMED]}')
     for split, part in found.splits.items():
         if [run.key for run in part] != list(range(len(part))):
-            yield WARN, (
+            found.warn(
                 f'{split}: keys are {sorted({run.key for run in part})}, not the index of each '
                 'record; runs are told apart by their place in the file'
             )
 
 
-def _check_case_ids(found: Inspection) -> Findings:
+def _check_case_ids(found: Inspection) -> None:
     """Case ids: repeated, shared by splits, or not as many as records."""
     cases = found.metadata.get('dataset_split')
     if cases is None:
-        yield WARN, 'no dataset_split: which case a record is remains unknown'
+        found.warn('no dataset_split: which case a record is remains unknown')
         return
     for split, part in found.splits.items():
         ids = cases.get(split, [])
         if len(ids) != len(set(ids)):
-            yield WARN, (
+            found.warn(
                 f'dataset_split.{split} has {len(ids)} ids but {len(set(ids))} different ones: it '
                 'was drawn with replacement'
             )
         if len(ids) != len(part):
-            yield WARN, (
+            found.warn(
                 f'{split} has {len(part)} records, dataset_split.{split} names {len(ids)} cases: '
                 'which record is which case cannot be told from it'
             )
     for first, second in itertools.combinations(SPLITS, 2):
         shared = sorted(set(cases.get(first, [])) & set(cases.get(second, [])), key=str)
         if shared:
-            yield ERROR, (
+            found.error(
                 f'the cases {shared[:_MAX_NAMED]} are in {first} and {second}: errors on {second} '
                 'would flatter; split again'
             )
 
 
-def _check_duplicates(found: Inspection) -> Findings:
+def _check_duplicates(found: Inspection) -> None:
     places = collections.defaultdict(list)
     for split, part in found.splits.items():
         for index, run in enumerate(part):
@@ -241,19 +229,19 @@ def _check_duplicates(found: Inspection) -> Findings:
     for same in repeats:
         text = ' = '.join(f'{split} {index}' for split, index in same)
         if len({split for split, _ in same}) > 1:
-            yield ERROR, f'the same run lies in different splits: {text}; remove it from one'
+            found.error(f'the same run lies in different splits: {text}; remove it from one')
         else:
-            yield WARN, f'the same run lies in the file more than once: {text}'
+            found.warn(f'the same run lies in the file more than once: {text}')
     if not repeats:
-        yield OK, f'all {len(found.runs)} runs differ'
+        found.ok(f'all {len(found.runs)} runs differ')
 
 
-def _check_statistics(found: Inspection) -> Findings:
+def _check_statistics(found: Inspection) -> None:
     """Normalisation statistics: zero deviations, and agreement with the records."""
     held = found.metadata
     for key in ('vel_std', 'acc_std', 'rigid_body_force_std', 'context_std'):
         if zero := [axis for axis, value in enumerate(held.get(key, [])) if value == 0]:
-            yield WARN, (
+            found.warn(
                 f'{key} is 0 at {zero}: constant there; our training floors it, others must, too'
             )
     if 'train' not in found.splits:
@@ -271,12 +259,10 @@ def _check_statistics(found: Inspection) -> Findings:
         ratio = scale / max(np.linalg.norm(mean), 1e-30)
         if whole and np.max(np.abs(mean - promised)) > STATISTICS_TOLERANCE * max(scale, 1e-12):
             agree = False
-            yield ERROR, (
-                f'{key} is {held[key]}, the training records give {values}; convert again'
-            )
+            found.error(f'{key} is {held[key]}, the training records give {values}; convert again')
         elif key.endswith('_std') and not 1 / STATISTICS_FACTOR < ratio < STATISTICS_FACTOR:
             agree = False
-            yield ERROR, (
+            found.error(
                 f'{key} is {ratio:.3g} times that of the training records (1 / dt is '
                 f'{1 / held["dt"]:.3g}): velocities and accelerations are per frame, not divided '
                 'by dt'
@@ -285,45 +271,41 @@ def _check_statistics(found: Inspection) -> Findings:
         text = 'statistics agree with the training records' + ('' if whole else ' in size')
         if fitted is not None and not whole:
             text += f': they are of the {len(fitted)} runs that the subspace was fitted on'
-        yield OK, text
+        found.ok(text)
 
 
-def _check_motion(found: Inspection) -> Findings:
+def _check_motion(found: Inspection) -> None:
     """Time step, speed and rigidity of the body."""
     dt = found.metadata['dt']
     if not PLAUSIBLE_DT[0] <= dt <= PLAUSIBLE_DT[1]:
-        yield ERROR, f'dt is {dt} s per frame, outside {PLAUSIBLE_DT}; is it in frames per second?'
+        found.error(f'dt is {dt} s per frame, outside {PLAUSIBLE_DT}; is it in frames per second?')
     moved = [run for run in found.runs if run.n_rigid]
     if not moved:
         return
     bodies = [run.position[:, : run.n_rigid] for run in moved]
     fastest = max(float(np.linalg.norm(np.diff(b, axis=0), axis=-1).max()) for b in bodies) / dt
     if fastest > PLAUSIBLE_SPEED:
-        yield ERROR, (
+        found.error(
             f'the rigid body reaches {fastest:.3g} m/s with dt = {dt} s: dt or the unit of '
             'length is wrong'
         )
     bounds = found.metadata['bounds']
     low, high = np.array(bounds).T
     if outside := sum(bool(np.any((body < low) | (body > high))) for body in bodies):
-        yield WARN, f'in {outside} of {len(moved)} runs rigid points leave the bounds {bounds}'
+        found.warn(f'in {outside} of {len(moved)} runs rigid points leave the bounds {bounds}')
     points = [body['points'] for body in found.metadata.get('scene', {}).get('bodies', [])]
     worst = max(rigid_misfit(run, points) for run in moved)
     if worst > RIGID_TOLERANCE:
-        yield ERROR, f'the rigid body changes its shape by up to {1e3 * worst:.3g} mm (RMS)'
+        found.error(f'the rigid body changes its shape by up to {1e3 * worst:.3g} mm (RMS)')
     else:
-        yield OK, f'the rigid body keeps its shape within {1e3 * worst:.2g} mm (RMS)'
+        found.ok(f'the rigid body keeps its shape within {1e3 * worst:.2g} mm (RMS)')
     if forceless := sum(run.force is not None and not np.any(run.force) for run in found.runs):
-        yield WARN, f'{forceless} runs have no force at any frame'
+        found.warn(f'{forceless} runs have no force at any frame')
 
 
 def rigid_misfit(run: Trajectory, points: Sequence[int] = ()) -> float:
-    """Returns the largest RMS misfit in metres of a rigid motion from frame 0 to some others.
-
-    Args:
-        run: the run.
-        points: how many points each of several bodies has; none for one body.
-    """
+    """Returns the largest RMS misfit (m) of a rigid motion from frame 0 to some others; of several
+    bodies `points` says how many points each has."""
     later = np.unique(np.linspace(0, run.n_frames - 1, 9).astype(int))
     bodies = np.split(run.position[:, : run.n_rigid], np.cumsum(points, dtype=int)[:-1], axis=1)
     misfits = (
@@ -335,7 +317,7 @@ def rigid_misfit(run: Trajectory, points: Sequence[int] = ()) -> float:
     return max(misfits, default=0.0)
 
 
-def _check_truncation(found: Inspection) -> Findings:
+def _check_truncation(found: Inspection) -> None:
     """Runs of valid and test that the modes do not hold: they differ from all training runs."""
     train = found.of_split('projection_mse', 'train')
     if not train:
@@ -351,41 +333,37 @@ def _check_truncation(found: Inspection) -> Findings:
     ]
     if far:
         more = f' and {len(far) - _MAX_NAMED} more' if len(far) > _MAX_NAMED else ''
-        yield WARN, (
+        found.warn(
             f'the modes leave {1e3 * usual:.3g} mm (RMS) of the training runs, {1e3 * worst:.3g} '
             f'mm of the worst, but far more of {", ".join(far[:_MAX_NAMED])}{more}: these runs do '
             'something that no training run does; add such runs to train'
         )
 
 
-def _check_kept(kind: type[PackedRuns]):
-    """Returns the check of the files of one kind beside the records."""
-
-    def check(found: Inspection) -> Findings:
-        good, low, high = [], math.inf, -math.inf
-        for split, runs in found.splits.items():
-            path = kind.path_of(found.folder, split)
-            if not os.path.exists(path):
-                continue
-            kept, lengths = kind(path), []
-            for values in kept:
-                lengths.append(len(values))
-                low, high = min(low, float(values.min())), max(high, float(values.max()))
-            if lengths != [-(-run.n_frames // kept.frame_stride) for run in runs]:
-                yield ERROR, f'{path}: holds other runs than {split}.tfrecord; convert again'
-            else:
-                good.append(f'{split} {os.path.getsize(path) / len(runs) / 1e3:.1f} kB')
-        if good:
-            span = f', {low:.3f} to {high:.3f} m high' * (kind is Heights)
-            yield OK, (
-                f'{kind.TITLE}s ({kept}{span}, every {kept.frame_stride} frames, to '
-                f'{5e2 * kept.resolution:.2g} mm), a run: ' + ', '.join(good)
-            )
-
-    return check
+def _check_kept(found: Inspection, kind: type[PackedRuns]) -> None:
+    """The files of one kind beside the records."""
+    good, low, high = [], math.inf, -math.inf
+    for split, runs in found.splits.items():
+        path = kind.path_of(found.folder, split)
+        if not os.path.exists(path):
+            continue
+        kept, lengths = kind(path), []
+        for values in kept:
+            lengths.append(len(values))
+            low, high = min(low, float(values.min())), max(high, float(values.max()))
+        if lengths != [-(-run.n_frames // kept.frame_stride) for run in runs]:
+            found.error(f'{path}: holds other runs than {split}.tfrecord; convert again')
+        else:
+            good.append(f'{split} {os.path.getsize(path) / len(runs) / 1e3:.1f} kB')
+    if good:
+        span = f', {low:.3f} to {high:.3f} m high' * (kind is Heights)
+        found.ok(
+            f'{kind.TITLE}s ({kept}{span}, every {kept.frame_stride} frames, to '
+            f'{5e2 * kept.resolution:.2g} mm), a run: ' + ', '.join(good)
+        )
 
 
-def _check_subspace(found: Inspection) -> Findings:
+def _check_subspace(found: Inspection) -> None:
     """`subspace.npz` against metadata and splits."""
     held = found.metadata
     name = held.get('pca', {}).get('file')
@@ -399,36 +377,41 @@ def _check_subspace(found: Inspection) -> Findings:
         ('n_soil', held.get('n_soil'), space.n_soil),
     ):
         if promised != is_there:
-            yield ERROR, (
+            found.error(
                 f'{name}: {what} is {is_there}, the metadata says {promised}; the scores belong '
                 'to another subspace'
             )
     others = [*found.of_split('cases', 'valid'), *found.of_split('cases', 'test')]
     if seen := {str(case.get('case')) for case in others} & set(space.runs):
-        yield ERROR, f'{name}: was fitted on {sorted(seen)}, which are not training runs'
+        found.error(f'{name}: was fitted on {sorted(seen)}, which are not training runs')
     else:
-        yield OK, (
+        found.ok(
             f'{name}: {space.n_modes} modes of N = {space.n_soil}, fitted on training runs only'
         )
     gap = space.gaps[space.n_modes - 1] if len(space.gaps) >= space.n_modes else math.inf
     if gap < CLUSTER_GAP:
-        yield WARN, (
+        found.warn(
             f'{name}: singular values {space.n_modes} and {space.n_modes + 1} differ by only '
             f'{100 * gap:.1f} %: the last mode may turn from fit to fit'
         )
 
 
-def _check_pickles(found: Inspection) -> Findings:
+def _check_pickles(found: Inspection) -> None:
     """The authors' pickles beside their records."""
-    vectors = os.path.join(found.folder, legacy_pickles.EIGENVECTORS_NAME)
-    if os.path.exists(vectors):
-        try:
+    vectors, values = (
+        os.path.join(found.folder, name)
+        for name in (legacy_pickles.EIGENVECTORS_NAME, legacy_pickles.EIGENVALUES_NAME)
+    )
+    try:
+        if os.path.exists(vectors):
             files.refuse_git_lfs_pointer(vectors)
-        except ValueError as error:
-            yield WARN, f'{error}; scores cannot be decoded, errors are given in the subspace'
-    values = os.path.join(found.folder, legacy_pickles.EIGENVALUES_NAME)
-    if os.path.exists(values):
-        found.n_soil = len(legacy_pickles.read_array(values))  # one a particle
+    except ValueError as error:
+        found.warn(f'{error}; scores cannot be decoded, errors are given in the subspace')
+    try:
+        if os.path.exists(values):
+            found.n_soil = len(legacy_pickles.read_array(values))  # one a particle
+    except (ValueError, OSError) as error:
+        found.warn(str(error))
 
 
 def report(found: Inspection) -> str:
@@ -566,7 +549,7 @@ def _floors(found: Inspection) -> str:
 def main(_, arguments: Sequence[str]) -> int:
     found = inspect_folder(arguments[0])
     for line in report(found).splitlines():
-        print(files.printable(line))
+        print(command.printable(line))
     return int(found.failed)
 
 

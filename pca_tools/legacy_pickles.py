@@ -26,7 +26,7 @@ from pca_tools import files
 EIGENVALUES_NAME = 'pca_eigen_values.pkl'
 EIGENVECTORS_NAME = 'pca_eigen_vectors.pkl'
 MEAN_NAME = 'pca_mean_scalar.pkl'
-_MAX_BYTES = 2**30
+
 _NUMBER_TYPE = re.compile('[fiuc](1|2|4|8|16)')
 # What numpy's pickles of arrays, scalars and tuples or lists of them are made of.
 _OPCODES = frozenset((
@@ -116,13 +116,12 @@ def read_array(path: str) -> np.ndarray:
 
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: git-lfs pointer, empty or damaged file, or a pickle of anything but numbers in a
-            numpy array.
+        ValueError: git-lfs pointer, empty or damaged file, or a pickle of anything else.
     """
     files.refuse_git_lfs_pointer(path)
     size = os.path.getsize(path)
-    if size > _MAX_BYTES:
-        raise ValueError(f'{path}: has {size} bytes, the limit is {_MAX_BYTES}')
+    if size > files.MAX_BYTES:
+        raise ValueError(f'{path}: has {size} bytes, the limit is {files.MAX_BYTES}')
     with open(path, 'rb') as file:
         data = file.read()
     try:
@@ -139,10 +138,8 @@ def parse_objects(data: bytes, where: str) -> Any:
 
     Returns:
         nested lists and tuples of numpy arrays of numbers, and plain numbers; an object array
-        becomes a list, one of two axes a list of lists.
-
-    Raises:
-        ValueError: anything else in it; `where` names file and member.
+        becomes a list, one of two axes a list of lists. Anything else in it is a ValueError with
+        `where`, which names file and member.
     """
     try:
         return _plain(_load(data), 0)

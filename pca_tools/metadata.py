@@ -4,8 +4,7 @@ Raw runs are of a scene with bounds, too; both are checked here alike. Every che
 sentences, so that a person sees all of them at once.
 
 The keys are DeepMind's (learning_to_simulate) and the authors' (Subspace-Graph-Physics); ours come
-on top and are optional: `schema_version`, `scene`, `frames_stored`, `n_soil`, `pca`, `cases`,
-`projection_mse`.
+on top and are optional.
 """
 
 from __future__ import annotations
@@ -37,8 +36,7 @@ def read_metadata(folder: str) -> dict[str, Any]:
 
     Raises:
         FileNotFoundError: the folder or the file is missing.
-        ValueError: not JSON, a missing key, a wrong type, or an impossible value; all problems are
-            listed.
+        ValueError: not JSON, or keys and values that are not as expected, all of them listed.
     """
     path = os.path.join(folder, METADATA_NAME)
     if not os.path.isdir(folder):
@@ -111,8 +109,9 @@ def _is_pair(value: Any) -> bool:
 def _of_splits(what: str, is_one: Callable[[Any], bool]) -> tuple[str, Callable[[Any], bool]]:
     """The check of a key that holds one value for each record of each split."""
     is_part = _list_of(is_one)
-    return f'an object with a list for each split, one {what} a record,', lambda value: (
-        isinstance(value, dict) and all(map(is_part, value.values()))
+    return (
+        f'an object with a list for each split, one {what} a record,',
+        lambda value: isinstance(value, dict) and all(map(is_part, value.values())),
     )
 
 

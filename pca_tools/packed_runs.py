@@ -69,7 +69,6 @@ class PackedRuns(Sequence):
 
     @classmethod
     def path_of(cls, folder: str, split: str) -> str:
-        """Returns the path of the file of a split."""
         return os.path.join(folder, f'{cls.NAME}_{split}.npz')
 
     @classmethod
@@ -90,12 +89,7 @@ class PackedRuns(Sequence):
         return cls(path)
 
     def __init__(self, path: str):
-        """Reads a file of `write_runs`; nothing is unpacked yet.
-
-        Raises:
-            FileNotFoundError: there is no such file.
-            ValueError: it is damaged or foreign.
-        """
+        """Reads a file of `write_runs`; nothing is unpacked yet. ValueError: damaged or foreign."""
         arrays = files.read_npz(path)
         for name, (kind, ndim) in {**_KINDS, **self.KINDS}.items():
             array = arrays.get(name)
@@ -103,7 +97,8 @@ class PackedRuns(Sequence):
                 raise ValueError(f'{path}: is not a {self.TITLE}: {name} is missing or foreign')
         self._path, self._data = path, arrays['data']
         self._frames, self._offsets = arrays['frames'], arrays['offsets']
-        self._own = {name: arrays[name] for name in self.KINDS}
+        for name in self.KINDS:
+            setattr(self, name, arrays[name])
         self.rest = arrays['rest']
         self.frame_stride = int(arrays['frame_stride'])
         self.resolution = float(arrays['resolution'])

@@ -23,17 +23,9 @@ _MAX_VALUES = 5 * 10**7
 
 
 def pack_steps(positions: np.ndarray, rest: np.ndarray, resolution: float) -> bytes:
-    """Packs positions or heights as whole steps from rest, differenced in time, signs folded
-    (0, -1, 1, -2 -> 0, 1, 2, 3).
-
-    Args:
-        positions: [F, ...] m, mostly [F, P, 3].
-        rest: [...] m, of one frame.
-        resolution: length of a step, m; `unpack_steps` gives positions to within half of it.
-
-    Raises:
-        ValueError: a point is farther from rest than a step count can hold.
-    """
+    """Packs positions or heights [F, ...] (m) as whole steps of a `resolution` (m) from `rest`
+    [...], differenced in time, signs folded (0, -1, 1, -2 -> 0, 1, 2, 3). ValueError: a point is
+    farther from rest than a step count can hold."""
     offset = (np.asarray(positions, np.float64) - rest) / resolution
     if not np.all(np.abs(offset) < _MAX_STEPS):
         raise ValueError(
@@ -46,11 +38,8 @@ def pack_steps(positions: np.ndarray, rest: np.ndarray, resolution: float) -> by
 
 
 def unpack_steps(data: bytes, n_frames: int, rest: np.ndarray, resolution: float) -> np.ndarray:
-    """Unpacks `pack_steps`; returns float64 [F, ...] m.
-
-    Raises:
-        ValueError: the bytes are damaged or do not hold `n_frames` frames.
-    """
+    """Unpacks `pack_steps`: float64 [F, ...] m, to within half a step; ValueError for bytes that
+    are damaged or do not hold `n_frames` frames."""
     folded = _decompressed(data, n_frames * rest.size).reshape(*rest.shape[::-1], n_frames)
     change = (folded >> 1).astype(np.int32) ^ -(folded & 1).astype(np.int32)
     steps = np.cumsum(change, axis=-1, dtype=np.int64)
@@ -65,11 +54,7 @@ def pack_positions(positions: np.ndarray, resolution: float) -> bytes:
 
 
 def unpack_positions(data: bytes) -> np.ndarray:
-    """Returns float32 [T, P, 3]; packing these again gives the same bytes' positions.
-
-    Raises:
-        ValueError: the bytes are damaged.
-    """
+    """Returns float32 [T, P, 3], packed again the same bytes; ValueError for damaged ones."""
     n_frames, points, resolution = _head(_STEPS_HEAD, data)
     start = _STEPS_HEAD.size + 12 * points
     _refuse_huge(n_frames, 3 * points)
@@ -89,11 +74,7 @@ def pack_series(values: np.ndarray) -> bytes:
 
 
 def unpack_series(data: bytes) -> np.ndarray:
-    """Returns float32 [T, values].
-
-    Raises:
-        ValueError: the bytes are damaged.
-    """
+    """Returns float32 [T, values]; ValueError for damaged bytes."""
     n_frames, values = _head(_SERIES_HEAD, data)
     _refuse_huge(n_frames, values)
     rows = _decompressed(data[_SERIES_HEAD.size :], n_frames * values).view('<f4')

@@ -23,26 +23,17 @@ RESOLUTION = 4e-5
 SEED = 0
 
 
-def choose_particles(points: np.ndarray, count: int = SAMPLE_SIZE, seed: int = SEED) -> np.ndarray:
-    """Draws particles that are spread over the bed.
+def choose_particles(points: np.ndarray) -> np.ndarray:
+    """Draws particles that are spread over the bed, int32 [P], ascending, of `points` [N, 3].
 
-    The points are halved along their longest extent until there are `count` groups of nearly equal
-    size, and one point of each is drawn: no region is missed and none counts twice.
-
-    Args:
-        points: [N, D] positions.
-        count: P; all points are taken where there are not more.
-        seed: of the draws.
-
-    Returns:
-        int32 [P] indices, ascending.
+    The points are halved along their longest extent until there are `SAMPLE_SIZE` groups of nearly
+    equal size, and one point of each is drawn: no region is missed and none counts twice.
     """
     points = np.asarray(points, np.float64)
-    if count >= len(points):
+    if len(points) <= SAMPLE_SIZE:
         return np.arange(len(points), dtype=np.int32)
-    rng = np.random.default_rng(seed)
-    groups = [(np.arange(len(points)), count)]
-    chosen = []
+    rng = np.random.default_rng(SEED)
+    groups, chosen = [(np.arange(len(points)), SAMPLE_SIZE)], []
     while groups:
         members, wanted = groups.pop()
         if wanted == 1:
@@ -57,34 +48,23 @@ def choose_particles(points: np.ndarray, count: int = SAMPLE_SIZE, seed: int = S
 
 
 def write_sample(
-    path: str,
-    packed: Sequence[tuple[bytes, int]],
-    indices: np.ndarray,
-    rest: np.ndarray,
-    frame_stride: int = FRAME_STRIDE,
-    resolution: float = RESOLUTION,
+    path: str, packed: Sequence[tuple[bytes, int]], indices: np.ndarray, rest: np.ndarray
 ) -> None:
     """Writes the packed runs of a split; see `write_runs` and `ParticleSample`."""
-    indices = np.asarray(indices, np.int32)
-    write_runs(path, packed, rest, frame_stride, resolution, indices=indices)
+    write_runs(path, packed, rest, FRAME_STRIDE, RESOLUTION, indices=np.asarray(indices, np.int32))
 
 
 class ParticleSample(PackedRuns):
     """The particles of a split, unpacked one run at a time.
 
     `sample[i]` is float64 [F, P, 3] in metres: particle `indices[p]` in frame `f * frame_stride` of
-    record i, to within half of `resolution`. Beside the attributes of `PackedRuns`:
-
-    Attributes:
-        indices: int32 [P], columns of the raw runs and rows of the subspace.
-        rest: float64 [P, 3], their places in frame 0 of the first training run, metres.
+    record i, to within half of `resolution`; `rest` [P, 3] are their places in frame 0 of the first
+    training run.
     """
 
     NAME, TITLE, KINDS = 'particles', 'particle sample', {'indices': ('i', 1)}
 
-    @property
-    def indices(self) -> np.ndarray:
-        return self._own['indices']
+    indices: np.ndarray  # int32 [P], columns of the raw runs and rows of the subspace
 
     def __str__(self) -> str:
         return f'{len(self.indices)} particles'

@@ -54,13 +54,8 @@ def plot_energy_and_error(space: Subspace, path: str) -> None:
 
 
 def plot_modes(space: Subspace, path: str, up_axis: int = 1) -> None:
-    """Draws each mode as particles coloured by their weight, from the side and from above.
-
-    Args:
-        space: the subspace.
-        path: of the picture.
-        up_axis: axis against gravity; the longer of the other two is drawn along the page.
-    """
+    """Draws each mode as particles coloured by their weight, from the side and from above; of the
+    two level axes the longer is drawn along the page."""
     level = [axis for axis in range(3) if axis != up_axis]
     along, depth = sorted(level, key=lambda axis: -np.ptp(space.initial[:, axis]))
     x, y, z = space.initial[:, [along, up_axis, depth]].T
@@ -96,20 +91,15 @@ def _save(figure, path: str) -> None:
 
 
 def compare_reductions(space: Subspace, runs: RawRuns, max_rows: int) -> list[dict]:
-    """Measures PCA and kernel PCA on held-out runs.
+    """Measures PCA and kernel PCA, fitted on at most about `max_rows` rows (frame x axis), evenly
+    chosen.
 
-    Args:
-        space: the subspace; its runs are the training runs, all other raw runs are held out.
-        runs: the raw runs.
-        max_rows: rows (frame x axis) of the fit; frames are thinned evenly to this.
+    The subspace's runs train, all other raw runs are held out; ValueError if either are absent.
 
     Returns:
         A row for the stored subspace, for a PCA of the thinned frames, and for each kernel PCA:
         `method`, `modes`, `train_mse` on the frames of the fit and `test_mse` on held-out runs
         (m^2), CPU `fit_seconds`, and CPU `decode_ms` to rebuild the particles of a frame.
-
-    Raises:
-        ValueError: the raw folder has no training run or no held-out run of this subspace.
     """
     from sklearn import decomposition  # seconds to load, and help does not wait for it
 
@@ -123,24 +113,21 @@ def compare_reductions(space: Subspace, runs: RawRuns, max_rows: int) -> list[di
     train, test = (
         _thinned_rows(space, runs, indices, max_rows) for indices in (training, held_out)
     )
-    models = {
-        'PCA of the thinned frames': decomposition.PCA(
-            space.n_modes, svd_solver='arpack', random_state=0
-        )
-    } | {
-        f'kernel PCA of the same (RBF {GAMMA:g}, ridge {alpha:g})': decomposition.KernelPCA(
-            space.n_modes, kernel='rbf', gamma=GAMMA, fit_inverse_transform=True, alpha=alpha
-        )
-        for alpha in ALPHAS
-    }
+    components = space.components
+    pca = decomposition.PCA(space.n_modes, svd_solver='arpack', random_state=0)
     # How each is fitted, encodes and decodes.
     methods = {
         'PCA, the stored subspace': (
-            lambda rows: None,
-            lambda rows: rows @ space.components,
-            lambda scores: scores @ space.components.T,
+            lambda rows: None, lambda rows: rows @ components, lambda scores: scores @ components.T,
+        ),
+        'PCA of the thinned frames': (pca.fit, pca.transform, pca.inverse_transform),
+    }  # fmt: skip
+    for alpha in ALPHAS:
+        kernel = decomposition.KernelPCA(
+            space.n_modes, kernel='rbf', gamma=GAMMA, fit_inverse_transform=True, alpha=alpha
         )
-    } | {name: (m.fit, m.transform, m.inverse_transform) for name, m in models.items()}
+        name = f'kernel PCA of the same (RBF {GAMMA:g}, ridge {alpha:g})'
+        methods[name] = kernel.fit, kernel.transform, kernel.inverse_transform
     rows = []
     for name, (fit, encode, decode) in methods.items():
         start = time.process_time()
@@ -171,7 +158,6 @@ def _thinned_rows(space: Subspace, runs: RawRuns, indices: list[int], max_rows: 
 
 
 def table(space: Subspace, reductions: Sequence[dict]) -> str:
-    """Returns the numbers as text."""
     floors, shares = space.projection_floors, space.explained_variance_ratio
     text = markdown.table(
         ('modes', 'energy of the mode [%]', 'energy left out [%]', 'RMS [mm]'),

@@ -45,23 +45,15 @@ _ASYMMETRY = 0.2
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class RawRun(FrameSeries):
-    """One run of the solver, T frames.
+    """One run of the solver, T frames."""
 
-    Attributes:
-        case: its case id.
-        positions: float32 [T, N, 3] soil particles, metres.
-        rigid_positions: float32 [T, R, 3] points fixed to the rigid body, metres; R = 0 without
-            one.
-        context: float64 [C] global context values.
-        parameters: all parameters of the case and of the solver.
-        heights: float32 [T, nx, nz] of the soil over the bin, metres, or None.
-    """
-
-    case: int | str
-    positions: np.ndarray
+    case: int | str  # its case id
+    positions: np.ndarray  # float32 [T, N, 3] soil particles, metres
+    # float32 [T, R, 3] points fixed to the rigid body, metres; R = 0 without
     rigid_positions: np.ndarray
-    context: np.ndarray
-    parameters: dict[str, Any]
+    context: np.ndarray  # float64 [C] global context values
+    parameters: dict[str, Any]  # all parameters of the case and of the solver
+    # float32 [T, nx, nz] of the soil over the bin, metres, or None
     heights: np.ndarray | None = None
 
     @property
@@ -116,13 +108,8 @@ class RawRuns(Sequence):
         return (self[index] for index in range(len(self)))
 
     def __getitem__(self, index: int) -> RawRun:  # type: ignore[override]
-        """Opens run `index`.
-
-        Raises:
-            FileNotFoundError: the run's file is missing.
-            ValueError: it differs from the manifest, lacks an array, has other counts than the runs
-                opened before it, or holds NaN; the message names file, frame and point.
-        """
+        """Opens run `index`; ValueError, with file, frame and point: it differs from the manifest,
+        lacks an array, has other counts than the runs opened before it, or holds NaN."""
         entry = self._entries[index]
         path = os.path.join(self.folder, os.path.basename(entry['file']))
         files.refuse_git_lfs_pointer(path)
@@ -166,11 +153,8 @@ class RawRuns(Sequence):
         return RawRun(case=case, context=context, parameters=parameters, **series)
 
     def match_particles(self, reference: np.ndarray | None = None) -> None:
-        """Lets all runs list their particles in one order: nearest neighbours in frame 0.
-
-        Args:
-            reference: [N, 3] metres; default frame 0 of the first run.
-        """
+        """Lets all runs list their particles in one order: each goes with its nearest neighbour in
+        `reference` [N, 3] (m), default frame 0 of the first run."""
         self._reference = self[0].positions[0] if reference is None else reference
 
     def parameters(self, index: int) -> dict[str, Any]:
@@ -189,8 +173,7 @@ class RawRuns(Sequence):
             space: whose particles the runs must have, in its order; default: those of the first.
 
         Raises:
-            ValueError: faults of any run, other particles, implausible units, or no telling which
-                axis points up.
+            ValueError: faults of any run, or no telling which axis points up.
         """
         extent, faults = Extent(), []
         reference = space and (space.initial, f'case {space.runs[0]}')
@@ -232,14 +215,13 @@ class RawRuns(Sequence):
 
 
 class SoilPositions(Sequence):
-    """The soil positions [T, N, 3] of some runs, opened one at a time."""
+    """The soil positions [T, N, 3] of the runs `indices`, every `frame_stride`-th frame, opened one
+    at a time."""
 
     def __init__(self, runs: RawRuns, indices: Sequence[int], frame_stride: int = 1):
-        """Takes every `frame_stride`-th frame of the runs `indices` of `runs`, in that order."""
         self._runs, self._indices, self._stride = runs, list(indices), frame_stride
 
     def part(self, start: int, stop: int) -> SoilPositions:
-        """Returns the runs from number `start` up to `stop`."""
         return SoilPositions(self._runs, self._indices[start:stop], self._stride)
 
     def __len__(self) -> int:
@@ -260,7 +242,6 @@ def raise_faults(where: str, faults: Sequence[str]) -> None:
 
 
 def manifest_faults(manifest: Any) -> list[str]:
-    """Returns what is wrong with the manifest of a raw folder."""
     if not isinstance(manifest, dict) or not {'scene', 'dt', 'bounds', 'runs'} <= manifest.keys():
         return ['is not a manifest of raw runs (scene, dt, bounds, runs)']
     scene, runs = manifest['scene'], manifest['runs']
@@ -283,24 +264,17 @@ def manifest_faults(manifest: Any) -> list[str]:
 
 
 def is_case(value: Any) -> bool:
-    """Whether a value can be the id of a run: a whole number or a text."""
     return isinstance(value, (int, str)) and not isinstance(value, bool)
 
 
 def repeated_cases(cases: Sequence[int | str]) -> list[str]:
-    """Returns a sentence about case ids that come more than once."""
     texts = [str(case) for case in cases]
     repeated = sorted({text for text in texts if texts.count(text) > 1})
     return [f'lists the cases [{", ".join(repeated)}] more than once'] if repeated else []
 
 
 def array_faults(arrays: dict[str, np.ndarray], scene: dict[str, Any]) -> list[str]:
-    """Returns what is wrong with the arrays of one run.
-
-    Args:
-        arrays: of the `.npz` file.
-        scene: of the manifest.
-    """
+    """Returns what is wrong with the arrays of one run in a scene of the manifest."""
     has_body = scene['rigid_motion'] != 'none'
     wanted = ['positions', 'parameters']
     wanted += ['rigid_positions'] * has_body + ['force'] * bool(scene['force'])
@@ -362,21 +336,16 @@ def _read_context(
 
 @dataclasses.dataclass
 class Extent:
-    """Where the soil is in all runs, and how fast soil and body are.
+    """Where the soil is in all runs, and how fast soil and body are."""
 
-    Attributes:
-        low, high: [3] least and greatest soil coordinate in frame 0, metres.
-        spacing: median distance of a soil particle to its nearest neighbour, metres.
-        speed, fastest: of the fastest point of soil or body, metres per second; which it is.
-        reach: largest coordinate of the maps of heights, metres; 0 without maps.
-    """
-
+    # low, high: [3] least and greatest soil coordinate in frame 0, metres
     low: np.ndarray = dataclasses.field(default_factory=lambda: np.full(DIM, np.inf))
     high: np.ndarray = dataclasses.field(default_factory=lambda: np.full(DIM, -np.inf))
-    spacing: float = math.nan
+    spacing: float = math.nan  # median distance of a soil particle to its nearest neighbour, metres
+    # speed, fastest: of the fastest point of soil or body, metres per second; which it is
     speed: float = 0.0
     fastest: str = 'soil'
-    reach: float = 0.0
+    reach: float = 0.0  # largest coordinate of the maps of heights, metres; 0 without maps
 
     def add(
         self, positions: np.ndarray, rigid_positions: np.ndarray, dt: float, reach: float = 0.0
@@ -396,13 +365,8 @@ class Extent:
 
 
 def unit_faults(extent: Extent, bounds: Any, dt: float) -> list[str]:
-    """Returns what says that positions, bounds or dt are not in metres and seconds.
-
-    Args:
-        extent: of the runs.
-        bounds: [[low, high]] * 3.
-        dt: seconds per frame.
-    """
+    """Returns what says that positions, bounds ([[low, high]] * 3) or dt are not in metres and
+    seconds."""
     faults = []
     size = float(np.max(extent.high - extent.low))
     low, high = np.asarray(bounds, np.float64).T
@@ -451,14 +415,10 @@ def _unit_guess(ratio: float) -> str:
 def infer_up_axis(extent: Extent, bounds: Any, gravity: Any = None) -> tuple[int | None, str]:
     """Finds the axis against gravity.
 
-    Args:
-        extent: of the runs.
-        bounds: [[low, high]] * 3.
-        gravity: vector of three numbers, if the runs state one.
-
     Returns:
-        The axis or None, and what says so: the gravity vector; or that the soil lies at the bottom
-        of the bounds, with free space above it, on that axis much more than on the others.
+        The axis or None, and what says so: the gravity vector, if the runs state one; or that the
+        soil lies at the bottom of the bounds ([[low, high]] * 3), with free space above it, on that
+        axis much more than on the others.
     """
     if isinstance(gravity, list) and len(gravity) == DIM and all(map(metadata.is_number, gravity)):
         if not any(gravity):

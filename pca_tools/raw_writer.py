@@ -190,10 +190,8 @@ def rehash(folder: str) -> list[str]:
     """Lets the manifest of a raw folder follow its files; files are read, never changed.
 
     Bytes, sha256 and parameters of every listed run become those of its file; a case id that is
-    missing becomes that of the parameters, else the name of the file.
-
-    Args:
-        folder: raw folder. Its manifest may list runs by `file` alone.
+    missing becomes that of the parameters, else the name of the file. The manifest may list runs by
+    `file` alone.
 
     Returns:
         names of the files whose entries changed.

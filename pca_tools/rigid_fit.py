@@ -15,17 +15,11 @@ MIN_POINTS = 3
 
 
 class RigidMotion(NamedTuple):
-    """Rigid motion `x -> rotation @ x + translation`.
+    """Rigid motion `x -> rotation @ x + translation`."""
 
-    Attributes:
-        rotation: float64 [3, 3], always proper (determinant +1).
-        translation: float64 [3], metres.
-        residual: root mean square distance in metres between moved source and target points.
-    """
-
-    rotation: np.ndarray
-    translation: np.ndarray
-    residual: float
+    rotation: np.ndarray  # float64 [3, 3], always proper (determinant +1)
+    translation: np.ndarray  # float64 [3], metres
+    residual: float  # root mean square distance in metres between moved source and target points
 
     def apply(self, points: np.ndarray) -> np.ndarray:
         """Moves points [..., 3] (metres); returns float64 of the same shape."""
@@ -33,11 +27,9 @@ class RigidMotion(NamedTuple):
 
 
 def fit_rigid_motion(source: np.ndarray, target: np.ndarray) -> RigidMotion:
-    """Finds the rigid motion of `source` onto `target` with least squared distance.
+    """Finds the rigid motion of `source` [R, 3] (m) onto `target` with least squared distance.
 
-    Args:
-        source: [R, 3] points in metres, R >= 3. Where they lie on a line, the turn about it is any.
-        target: [R, 3] the same points after the motion.
+    R is at least 3; where the points lie on a line, the turn about it is any.
 
     Raises:
         ValueError: shapes differ or are not [R, 3], fewer than 3 points, or NaN.
@@ -66,14 +58,11 @@ def fit_rigid_motion(source: np.ndarray, target: np.ndarray) -> RigidMotion:
 
 
 def placed(shape: np.ndarray, poses: np.ndarray) -> np.ndarray:
-    """Places points of a body: x = p + R(q) s, Euler-Rodrigues in quaternions.
+    """Places points of a body, x = p + R(q) s (Euler-Rodrigues): float64 [T, R, 3], m.
 
     Args:
         shape: [R, 3] s, places on the upright body from its reference point, m.
         poses: [T, 7] position p (m) and quaternion q (w, x, y, z).
-
-    Returns:
-        float64 [T, R, 3], m.
     """
     poses = np.asarray(poses, np.float64)
     return poses[:, None, :3] + _turned(np.asarray(shape, np.float64)[None], poses[:, 3:])

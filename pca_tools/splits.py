@@ -69,8 +69,7 @@ def split_cases(
 
     Args:
         cases: case ids.
-        fractions: shares of train, valid and test; sum 1. Every share above 0 gets at least one
-            case.
+        fractions: shares of train, valid and test, sum 1; each above 0 gets at least one case.
         seed: of the draw.
         hold_out: ids that go to test whatever the draw says; they count towards its share.
 

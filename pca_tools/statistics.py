@@ -14,14 +14,10 @@ HISTORY = 6  # H, frames that a model is given
 def motion_statistics(trajectories: Sequence[Trajectory]) -> dict[str, list[float]]:
     """Computes the normalisation statistics of DeepMind's metadata and of the authors'.
 
-    Args:
-        trajectories: training runs.
-
     Returns:
         `vel_mean, vel_std, acc_mean, acc_std` [3] per frame (v_t = x_t - x_{t-1}, a_t = v_t -
-        v_{t-1}, not divided by dt), over all nodes that are not kinematic; `rigid_body_force_mean,
-        rigid_body_force_std` [3], the same for `torque`, and `context_mean, context_std` [C] where
-        the runs have them.
+        v_{t-1}, not divided by dt), over all nodes that are not kinematic; the same of
+        `rigid_body_force`, `rigid_body_torque` [3] and `context` [C] where the runs have them.
     """
     moving = [
         run.position[:, run.particle_type != KINEMATIC_PARTICLE_ID].astype(np.float64)
@@ -50,16 +46,10 @@ def mean_share(shares: Sequence[float], weights: Sequence[float]) -> float:
 
 
 def trivial_errors(trajectory: Trajectory, n_soil: int) -> dict[str, float]:
-    """Measures the predictors that need no model, on the soil, inside the subspace.
+    """Mean squared errors (m^2) of the predictors that need no model, `stay_still` and
+    `constant_velocity`, on the soil of a run of more than `HISTORY` frames, inside the subspace.
 
-    Args:
-        trajectory: one run of more than `HISTORY` frames.
-        n_soil: N; W is orthonormal, so squared score errors / (3 N) are mean squared particle
-            errors.
-
-    Returns:
-        `stay_still` and `constant_velocity` mean squared errors in m^2, mean over the predicted
-        frames.
+    W is orthonormal, so squared score errors / (3 N) are mean squared particle errors.
     """
     scores = trajectory.position[:, trajectory.n_rigid :].astype(np.float64)
     last, truth = scores[HISTORY - 1], scores[HISTORY:]

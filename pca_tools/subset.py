@@ -47,8 +47,8 @@ def subset(
 
     Raises:
         FileNotFoundError: a file is missing.
-        ValueError: no training runs, a kind that the dataset does not have, or fewer runs than are
-            asked for; a split without any, or no kinds, with `every_split`.
+        ValueError: no training runs, a kind or a number of runs that the dataset does not have; a
+            split without any, or no kinds, with `every_split`; an output that is occupied.
     """
     if every_split and not kinds:
         raise ValueError('every_split keeps some kinds of runs alone, but no kinds were named')
@@ -80,19 +80,10 @@ def subset(
 
 
 def deal(data_path: str, output_path: str, places: Mapping[str, Sequence[int]]) -> dict[str, Any]:
-    """Writes a dataset of the same runs in other splits, for cross-validation.
+    """Writes a dataset of the same runs in other splits, for cross-validation; raises as `subset`.
 
-    Args:
-        data_path: a dataset of `convert` with a particle sample.
-        output_path: the new one.
-        places: split -> its runs, counted through train, valid and test of the old one.
-
-    Returns:
-        Its metadata. Subspace and statistics stay those of the old one.
-
-    Raises:
-        FileNotFoundError: a file is missing.
-        ValueError: `output_path` is occupied.
+    `places` is split -> its runs, counted through train, valid and test of the old dataset, whose
+    subspace and statistics stay. Returns the metadata.
     """
     encode.refuse_occupied_output(output_path, False)
     whole = encode.load(data_path)

@@ -91,10 +91,8 @@ class Subspace:
 
     @property
     def projection_floors(self) -> np.ndarray:
-        """[S + 1] mean squared error in m^2 that 0..S modes leave on the runs of the fit.
-
-        The mean is over runs, frames, particles and axes.
-        """
+        """[S + 1] mean squared error in m^2 that 0..S modes leave on the runs of the fit, over
+        runs, frames, particles and axes."""
         kept = np.concatenate([[0.0], np.cumsum(self.singular_values**2)])
         return np.maximum(self.total_energy - kept, 0.0) / (self.n_rows * self.n_soil)
 
@@ -109,17 +107,8 @@ class Subspace:
         )
 
     def encode(self, x: np.ndarray) -> np.ndarray:
-        """Projects particle positions.
-
-        Args:
-            x: [..., N, 3] metres.
-
-        Returns:
-            float64 [..., r, 3] scores in metres.
-
-        Raises:
-            ValueError: wrong shape, or NaN (with its place).
-        """
+        """Projects particle positions [..., N, 3] (m) to scores, float64 [..., r, 3] (m);
+        ValueError for a wrong shape, or NaN (with its place)."""
         x = np.asarray(x)
         if x.ndim < 2 or x.shape[-2:] != (self.n_soil, DIM):
             raise ValueError(
@@ -129,17 +118,8 @@ class Subspace:
         return np.einsum('...nk,nr->...rk', x - self.mean, self.components, optimize=True)
 
     def decode(self, z: np.ndarray) -> np.ndarray:
-        """Rebuilds particle positions from scores.
-
-        Args:
-            z: [..., r, 3] metres.
-
-        Returns:
-            float64 [..., N, 3] metres.
-
-        Raises:
-            ValueError: wrong shape.
-        """
+        """Rebuilds particle positions, float64 [..., N, 3] (m), from scores [..., r, 3] (m);
+        ValueError for a wrong shape."""
         z = np.asarray(z, np.float64)
         if z.ndim < 2 or z.shape[-2:] != (self.n_modes, DIM):
             raise ValueError(
@@ -149,19 +129,11 @@ class Subspace:
 
     def save(self, path: str) -> None:
         """Writes the subspace as `.npz`, whole or not at all."""
-        files.write_npz(
-            path,
-            mean=self.mean,
-            components=self.components,
-            singular_values=self.singular_values,
-            explained_variance_ratio=self.explained_variance_ratio,
-            total_energy=self.total_energy,
-            n_rows=self.n_rows,
-            centering=self.centering,
-            runs=np.array(self.runs, dtype=np.str_),
-            initial=self.initial,
-            digest=self.digest,
-        )
+        names = (
+            'mean', 'components', 'singular_values', 'explained_variance_ratio', 'total_energy',
+            'n_rows', 'centering', 'runs', 'initial', 'digest',
+        )  # fmt: skip
+        files.write_npz(path, **{name: getattr(self, name) for name in names})
 
     @classmethod
     def load(cls, path: str) -> Subspace:
@@ -191,30 +163,20 @@ class Subspace:
         values = {name: a.item() if name in _SCALARS else a for name, a in arrays.items()}
         space = cls(**{n: values[n] for n in names} | {'runs': tuple(arrays['runs'].tolist())})
         shapes = {'configuration': (len(space.initial), DIM), 'scalar': ()}
-        n_soil, n_modes = (*space.components.shape, 0, 0)[:2]
-        if (
-            space.components.ndim != 2
-            or shapes.get(space.centering) != space.mean.shape
-            or space.singular_values.ndim != 1
-            or len(space.singular_values) < n_modes
-            or space.initial.shape != (n_soil, DIM)
+        if not (
+            space.components.ndim == 2
+            and shapes.get(space.centering) == space.mean.shape
+            and space.singular_values.ndim == 1
+            and len(space.singular_values) >= space.n_modes
+            and space.initial.shape == (space.n_soil, DIM)
+            and space.n_rows >= 2
+            and space.total_energy > 0
+            and ratio.shape == space.singular_values.shape
+            and np.allclose(ratio, space.explained_variance_ratio, rtol=1e-9, atol=0)
         ):
-            raise ValueError(
-                f'{path}: arrays do not fit: centering {space.centering!r}, mean '
-                f'{space.mean.shape}, components {space.components.shape}'
-            )
+            raise ValueError(f'{path}: its arrays do not fit each other')
         if space.digest != digest:
             raise ValueError(f'{path}: the digest does not fit the arrays; the file was changed')
-        if (
-            space.n_rows < 2
-            or not space.total_energy > 0
-            or ratio.shape != space.singular_values.shape
-            or not np.allclose(ratio, space.explained_variance_ratio, rtol=1e-9, atol=0)
-        ):
-            raise ValueError(
-                f'{path}: total_energy {space.total_energy} and n_rows {space.n_rows} do not fit '
-                'the singular values'
-            )
         return space
 
 
@@ -228,7 +190,7 @@ def fit(
     spare_modes: int = 0,
     crew=None,
 ) -> Subspace:
-    """Fits a subspace to training runs.
+    """Fits a subspace of r to r + `spare_modes` modes to training runs.
 
     The matrix is decomposed by scikit-learn while it fits the memory; above that its N x N
     covariance is summed up run by run and decomposed (float64: relative error of a leading
@@ -241,15 +203,11 @@ def fit(
         centering: `configuration` (mean position of each particle) or `scalar` (one number).
         max_memory_mb: largest memory of the fit in MiB, beside one run.
         names: names of the runs, for messages and the record; default 0, 1, ...
-        progress: wraps a pass over the runs, called with the sequence and a label (for a progress
-            bar).
-        crew: `pca_tools.workers.Workers` that sum up the covariance, in parts; runs must then have
-            `part` (as `pca_tools.raw_runs.SoilPositions` has). The same subspace to round-off.
+        progress: wraps a pass over the runs, called with the sequence and a label.
         spare_modes: further modes to keep where the data have them, to measure what they would
             bring; `Subspace.truncated` drops them.
-
-    Returns:
-        The subspace, of r to r + `spare_modes` modes.
+        crew: `pca_tools.workers.Workers` that sum up the covariance, in parts; runs must then have
+            `part` (as `pca_tools.raw_runs.SoilPositions` has). The same subspace to round-off.
 
     Raises:
         ValueError: no runs, one row, different N, NaN, no motion at all, more modes than the data

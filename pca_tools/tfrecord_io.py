@@ -30,19 +30,14 @@ _PACKED = 'packed/'
 
 @dataclasses.dataclass(frozen=True)
 class SequenceRecord:
-    """The bytes of one SequenceExample, before they are given a shape.
+    """The bytes of one SequenceExample, before they are given a shape."""
 
-    Attributes:
-        key: int64 context feature `key`.
-        particle_type: bytes of the context feature `particle_type` (little-endian int64).
-        frames: feature name -> one bytes value per frame (little-endian float32).
-        packed: series name -> bytes of `pca_tools.packing`, in place of frames; context features
-            of the names `packed/<name>`.
-    """
-
-    key: int
-    particle_type: bytes
+    key: int  # int64 context feature `key`
+    particle_type: bytes  # bytes of the context feature `particle_type` (little-endian int64)
+    # Feature name -> one bytes value per frame (little-endian float32)
     frames: dict[str, list[bytes]]
+    # Series name -> bytes of `pca_tools.packing`, in place of frames; context features of the names
+    # `packed/<name>`
     packed: dict[str, bytes] = dataclasses.field(default_factory=dict)
 
     @classmethod
@@ -58,11 +53,7 @@ class SequenceRecord:
         return cls(int(key), np.ascontiguousarray(particle_type, '<i8').tobytes(), frames)
 
     def node_types(self, where: str) -> np.ndarray:
-        """Returns the particle types, int64 [V].
-
-        Raises:
-            ValueError: they are no row of int64; `where` names the record.
-        """
+        """Returns the particle types, int64 [V]; ValueError, with `where`, for no such row."""
         size = len(self.particle_type)
         if size % 8 or not size:
             raise ValueError(
@@ -73,10 +64,7 @@ class SequenceRecord:
 
     def series(self, name: str, width: int | None, where: str) -> np.ndarray:
         """Returns a series as float32 [T, width]; width None takes the size of the first frame.
-
-        Raises:
-            ValueError: no frames, or one of another size; `where` names the record.
-        """
+        ValueError, with `where`: no frames, or one of another size."""
         frames, where = self.frames[name], f'{where}: {name}'
         if not frames:
             raise ValueError(f'{where}: has no frames')
@@ -100,8 +88,8 @@ def scan_record_headers(path: str) -> list[tuple[int, int]]:
 
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: empty file, git-lfs pointer, foreign file, oversized or truncated record; the
-            message names file, record index and offset.
+        ValueError: empty file, git-lfs pointer, foreign file, oversized or truncated record; with
+            file, record and offset.
     """
     files.refuse_git_lfs_pointer(path)
     size = os.path.getsize(path)
@@ -140,13 +128,8 @@ def scan_record_headers(path: str) -> list[tuple[int, int]]:
 
 
 def read_records(path: str) -> Iterator[SequenceRecord]:
-    """Yields the records of a TFRecord file after its headers were checked.
-
-    Raises:
-        FileNotFoundError: there is no such file.
-        ValueError: see `scan_record_headers`; also a wrong data checksum or a record that is not a
-            SequenceExample of this schema; the message names file, record index and offset.
-    """
+    """Yields the records of a TFRecord file after its headers were checked; raises as
+    `scan_record_headers`, and ValueError for a wrong data checksum or another schema."""
     headers = scan_record_headers(path)
     tf = _tensorflow()
     stream = tf.data.TFRecordDataset(path).as_numpy_iterator()
@@ -259,13 +242,10 @@ def masked_crc32c(data: bytes) -> int:
     return (((crc >> 15) | (crc << 17)) + 0xA282EAD8) & 0xFFFFFFFF
 
 
-def _crc_table() -> list[int]:
-    table = []
-    for value in range(256):
-        for _ in range(8):
-            value = (value >> 1) ^ (0x82F63B78 if value & 1 else 0)
-        table.append(value)
-    return table
+def _crc_of(byte: int) -> int:
+    for _ in range(8):
+        byte = (byte >> 1) ^ (0x82F63B78 if byte & 1 else 0)
+    return byte
 
 
-_CRC_TABLE = _crc_table()
+_CRC_TABLE = [_crc_of(byte) for byte in range(256)]

@@ -33,13 +33,7 @@ _EXTRA = "Dask is not installed: pip install 'learning-to-simulate-soil[cluster]
 
 @dataclasses.dataclass(frozen=True)
 class Outcome:
-    """What became of one input.
-
-    Attributes:
-        index: of the input.
-        value: what the function returned, None where it failed.
-        error: why it failed, None where it did not.
-    """
+    """What became of one input: its index, what the function returned, or why it failed."""
 
     index: int
     value: Any
@@ -50,16 +44,12 @@ class Workers:
     """Processes that take tasks; made by `start`."""
 
     def __init__(self, client=None, pool: concurrent.futures.ProcessPoolExecutor | None = None):
-        """Takes a Dask client or a pool."""
         self.client = client
         self._pool = pool
 
     def run(self, function: Callable[[Any], Any], inputs: Sequence[Any]) -> Iterator[Outcome]:
-        """Yields the outcome of every input as it is there, in any order.
-
-        Args:
-            function: of a module that the workers can import too.
-            inputs: one task each.
+        """Yields the outcome of every input, one task each, as it is there, in any order; the
+        function is of a module that the workers can import too.
 
         Raises:
             OSError: the pool lost a process (Dask does not mind), or the scheduler is gone.
@@ -172,11 +162,8 @@ def _client(stack: contextlib.ExitStack, kind: str, where: str, count: int):
 
 
 def slurm_cluster():
-    """Returns the cluster of the batch system; `.job_script()` shows what is submitted.
-
-    Queue, account and the like are set as Dask's own configuration says
-    (`~/.config/dask/jobqueue.yaml`).
-    """
+    """Returns the cluster of the batch system; `.job_script()` shows what is submitted. Queue,
+    account and the like are set in Dask's own configuration (`~/.config/dask/jobqueue.yaml`)."""
     try:
         from dask_jobqueue import SLURMCluster
     except ModuleNotFoundError as error:

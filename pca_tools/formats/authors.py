@@ -29,7 +29,7 @@ def import_dataset(
         name: of the scene.
         rigid_motion: of the body; default as its particle type says (3: prescribed, else
             predicted).
-        up_axis: axis against gravity; theirs is y.
+        up_axis: axis against gravity.
 
     Returns:
         The metadata, and notes for the person who imports.
@@ -96,10 +96,5 @@ def import_dataset(
 
 def _renumbered(run: dataset.Trajectory, key: int, rigid_motion: str) -> dataset.Trajectory:
     is_mode = run.particle_type == dataset.MODE_PARTICLE_ID
-    body = (
-        dataset.KINEMATIC_PARTICLE_ID
-        if rigid_motion == 'prescribed'
-        else dataset.RIGID_PARTICLE_ID
-    )
-    types = np.where(is_mode, dataset.MODE_PARTICLE_ID, body).astype(np.int64)
-    return dataclasses.replace(run, key=key, particle_type=types)
+    types = np.where(is_mode, dataset.MODE_PARTICLE_ID, dataset.rigid_type(rigid_motion))
+    return dataclasses.replace(run, key=key, particle_type=types.astype(np.int64))

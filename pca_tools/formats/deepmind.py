@@ -49,11 +49,8 @@ def read(folder: str, dt: float | None = None) -> FullSpaceData:
 
 
 def write(folder: str, data: FullSpaceData) -> None:
-    """Writes the data; all runs must be equally long.
-
-    Raises:
-        ValueError: runs of different lengths, which DeepMind's reader cannot take.
-    """
+    """Writes the data; ValueError for runs of different lengths, which DeepMind's reader cannot
+    take."""
     splits, lengths = full_space.by_split(data), []
 
     def records(runs: Iterator[FullSpaceRun]) -> Iterator[tfrecord_io.SequenceRecord]:

@@ -30,7 +30,7 @@ def detect(folder: str) -> str:
 
     Raises:
         FileNotFoundError: there is no such folder.
-        ValueError: nothing that is known; the message says what was found and what is known.
+        ValueError: nothing that is known; what was found and what is known.
     """
     if not os.path.isdir(folder):
         raise FileNotFoundError(f'{folder}: no such folder')

@@ -23,66 +23,41 @@ BODY_TYPES = (RIGID_PARTICLE_ID, KINEMATIC_PARTICLE_ID)
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class FullSpaceRun:
-    """One trajectory.
+    """One trajectory."""
 
-    Attributes:
-        name: case id.
-        split: train, valid or test; empty where the data do not say.
-        positions: float [T, P, D].
-        particle_type: int [P], DeepMind's numbers.
-        force: float [T, D] on the body, or None.
-        context: float [T, C] global context, or None.
-        material: float [P] (geoelements' material property), or None.
-    """
-
-    name: str
-    split: str
-    positions: np.ndarray
-    particle_type: np.ndarray
+    name: str  # case id
+    split: str  # train, valid or test; empty where the data do not say
+    positions: np.ndarray  # float [T, P, D]
+    particle_type: np.ndarray  # int [P], DeepMind's numbers
+    # force, context: float [T, D] on the body and [T, C], global; None where there is none
     force: np.ndarray | None = None
     context: np.ndarray | None = None
-    material: np.ndarray | None = None
 
 
 @dataclasses.dataclass
 class FullSpaceData:
-    """Trajectories of one folder, opened one at a time.
+    """Trajectories of one folder, opened one at a time; what nothing says is None."""
 
-    Attributes:
-        source: what it is and where, for messages.
-        runs: gives an iterator over the runs; may be called again.
-        dt: seconds per stored frame, or None where nothing says it.
-        bounds: [[low, high]] * D, or None.
-        up_axis: where the format says it, else None.
-        context_names: names of the context values, if any.
-        rigid_motion: of the body, where the data say more than its type does, else None.
-        radius: connectivity radius of the metadata, or None.
-        name: of the scene.
-        notes: sentences for the person who imports.
-    """
-
-    source: str
+    source: str  # what it is and where, for messages
+    # Gives an iterator over the runs; may be called again
     runs: Callable[[], Iterator[FullSpaceRun]]
-    dt: float | None = None
-    bounds: list[list[float]] | None = None
-    up_axis: int | None = None
+    dt: float | None = None  # seconds per stored frame
+    bounds: list[list[float]] | None = None  # [[low, high]] * D
+    up_axis: int | None = None  # 0, 1 or 2
+    # Names of the context values, if any
     context_names: list[str] = dataclasses.field(default_factory=list)
-    rigid_motion: str | None = None
-    radius: float | None = None
-    name: str = 'soil'
+    rigid_motion: str | None = None  # of the body, where the data say more than its type does
+    radius: float | None = None  # connectivity radius of an export
+    name: str = 'soil'  # of the scene
+    # Sentences for the person who imports
     notes: list[str] = dataclasses.field(default_factory=list)
 
 
 class Foreign:
-    """`metadata.json` of another project: its path, and its values."""
+    """`metadata.json` of another project: its path, and its values; FileNotFoundError, ValueError
+    if it is absent or no JSON object."""
 
     def __init__(self, folder: str):
-        """Reads it.
-
-        Raises:
-            FileNotFoundError: there is no such file.
-            ValueError: it is no JSON object.
-        """
         self.path = os.path.join(folder, METADATA_NAME)
         self.values = files.read_json(self.path)
         if not isinstance(self.values, dict):
@@ -91,36 +66,29 @@ class Foreign:
     def number(self, key: str) -> float | None:
         """Returns a finite number as float, None where the key is absent or null."""
         value = self.values.get(key)
-        if value is not None and not is_number(value):
-            raise ValueError(f'{self.path}: {key} is {value!r}, a number was expected')
-        return None if value is None else float(value)
+        if value is None or is_number(value):
+            return None if value is None else float(value)
+        raise ValueError(f'{self.path}: {key} is {value!r}, a number was expected')
 
     def data(
         self, title: str, ending: str, read: Callable, dt: float | None, **others
     ) -> FullSpaceData:
         """Returns the data of a folder of `{train,valid,test}.<ending>` beside these metadata.
 
-        Args:
-            title: of the format.
-            ending: of the files.
-            read: path -> iterator over (name, arrays of a `FullSpaceRun`) of its runs.
-            dt: given by a person, else that of the metadata.
-            **others: attributes of `FullSpaceData`.
+        `read` gives an iterator over (name, arrays of a `FullSpaceRun`) of the runs of a path; `dt`
+        is given by a person, else that of the metadata.
         """
         folder = os.path.dirname(self.path)
 
         def runs() -> Iterator[FullSpaceRun]:
             for split in SPLITS:
                 path = os.path.join(folder, f'{split}.{ending}')
-                if os.path.exists(path):
-                    for name, arrays in read(path):
-                        run = FullSpaceRun(f'{split}_{name}', split, **arrays)
-                        yield check_run(run, f'{path}: run {name}')
+                for name, arrays in read(path) if os.path.exists(path) else ():
+                    run = FullSpaceRun(f'{split}_{name}', split, **arrays)
+                    yield check_run(run, f'{path}: run {name}')
 
-        return FullSpaceData(
-            f'{folder} ({title})', runs, dt or self.number('dt'), bounds_of(self.values, self.path),
-            radius=self.number('default_connectivity_radius'), **others,
-        )  # fmt: skip
+        bounds = bounds_of(self.values, self.path)
+        return FullSpaceData(f'{folder} ({title})', runs, dt or self.number('dt'), bounds, **others)
 
 
 def bounds_of(metadata: Mapping[str, Any], where: str) -> list[list[float]] | None:
@@ -135,21 +103,17 @@ def bounds_of(metadata: Mapping[str, Any], where: str) -> list[list[float]] | No
 
 
 def check_run(run: FullSpaceRun, where: str) -> FullSpaceRun:
-    """Returns a run whose arrays fit each other.
-
-    Raises:
-        ValueError: they do not; the message says where.
-    """
-    positions = run.positions
+    """Returns a run whose arrays fit each other; ValueError, with `where`, if they do not."""
+    positions, types = run.positions, run.particle_type
     if positions.dtype.kind not in 'fiu' or positions.ndim != 3 or positions.shape[2] not in (2, 3):
         raise ValueError(
             f'{where}: positions have shape {positions.shape}, {positions.dtype}; [T, particles, '
             '2 or 3] was expected'
         )
-    if run.particle_type.dtype.kind not in 'iu' or run.particle_type.shape != positions.shape[1:2]:
+    if types.dtype.kind not in 'iu' or types.shape != positions.shape[1:2]:
         raise ValueError(
-            f'{where}: {positions.shape[1]} particles have types of shape '
-            f'{run.particle_type.shape}, {run.particle_type.dtype}'
+            f'{where}: {positions.shape[1]} particles have types of shape {types.shape}, '
+            f'{types.dtype}'
         )
     for name in ('force', 'context'):
         values = getattr(run, name)
@@ -159,11 +123,8 @@ def check_run(run: FullSpaceRun, where: str) -> FullSpaceRun:
 
 
 def type_column(values: Any, count: int, where: str) -> np.ndarray:
-    """Returns particle types as int64 [count]; one number stands for all particles.
-
-    Raises:
-        ValueError: they are not whole numbers; `where` names the file.
-    """
+    """Returns particle types as int64 [count]; one number stands for all particles. ValueError,
+    with `where`: they are not whole numbers."""
     array = np.asarray(values)
     if array.dtype.kind not in 'fiu' or not (array == np.rint(array)).all():
         raise ValueError(f'{where}: particle types are not whole numbers ({array.dtype})')
@@ -183,15 +144,9 @@ def find_up_axis(data: FullSpaceData, bounds: list[list[float]]) -> tuple[int | 
 
 
 def raw_mappings(data: FullSpaceData, body: str | None) -> Iterator[dict[str, Any]]:
-    """Yields the runs as `pca_tools.write_raw` takes them: soil and body apart.
-
-    Args:
-        data: the trajectories.
-        body: motion of the body; `none` leaves rigid and kinematic particles out.
-
-    Raises:
-        ValueError: a run has no soil, two moving bodies, or other particles than the first.
-    """
+    """Yields the runs as `pca_tools.write_raw` takes them: soil and body apart, for the motion
+    `none` of the body soil alone. ValueError: a run has no soil, two moving bodies, or other
+    particles than the first."""
     first = None
     for run in data.runs():
         where = f'{data.source}: {run.name}'
@@ -222,9 +177,7 @@ def split_bodies(run: FullSpaceRun, where: str) -> tuple[np.ndarray, np.ndarray]
     """Returns soil [T, N, D] and the points of the body [T, R, D] of a run.
 
     A boundary that never moves is no body where there is a rigid one: the bounds hold the soil.
-
-    Raises:
-        ValueError: no soil, or a rigid body beside a moving boundary.
+    ValueError: no soil, or a rigid body beside a moving boundary.
     """
     rigid, kinematic = (run.particle_type == kind for kind in BODY_TYPES)
     soil = run.positions[:, ~(rigid | kinematic)]
@@ -261,11 +214,7 @@ def by_split(data: FullSpaceData) -> dict[str, Callable[[], Iterator[FullSpaceRu
 
 
 def length_of(lengths: Iterable[int]) -> int:
-    """Returns the number of frames that all runs have.
-
-    Raises:
-        ValueError: they have different ones.
-    """
+    """Returns the number of frames that all runs have; ValueError if they have different ones."""
     found = sorted(set(lengths))
     if len(found) != 1:
         raise ValueError(f'runs have {found} frames, this format holds runs of one length')
@@ -278,12 +227,8 @@ def common_metadata(
     """Returns what the metadata of all formats hold, with means and deviations of training runs.
 
     `vel_mean, vel_std, acc_mean, acc_std` are DeepMind's: per frame, not divided by dt, over all
-    particles that are not kinematic. Float64 sums, one run in memory at a time.
-
-    Args:
-        data: all runs.
-        train: those of the statistics.
-        more: also of these: `rigid_body_force`, `context`, where runs have them.
+    particles that are not kinematic; `more` may name `rigid_body_force` and `context`, where runs
+    have them. Float64 sums, one run in memory at a time.
     """
     sums: dict[str, np.ndarray] = {}  # name -> rows of count, sum, sum of squares
     for run in train:

@@ -1,8 +1,8 @@
 """geoelements/gns: `{train,valid,test}.npz` of object arrays and `metadata.json`.
 
 Two layouts are read: one entry per trajectory, or the single key `gns_data`; the second is written.
-A trajectory is (positions [T, N, D], particle type [N] or one number[, material property]). Object
-arrays are pickles: they are read by `pca_tools.legacy_pickles`, which runs nothing.
+A trajectory is (positions [T, N, D], particle type [N] or one number[, material property]); the
+last is not kept. Object arrays are pickles, which `pca_tools.legacy_pickles` reads and never runs.
 """
 
 from __future__ import annotations
@@ -35,16 +35,25 @@ def read(folder: str, dt: float | None = None) -> FullSpaceData:
 
 def _read_file(path: str) -> Iterator[tuple[Any, dict[str, Any]]]:
     for index, item in enumerate(read_trajectories(path)):
-        yield index, _arrays(item, f'{path}: trajectory {index}')
+        where = f'{path}: trajectory {index}'
+        if not isinstance(item, (list, tuple)) or len(item) not in (2, 3):
+            raise ValueError(f'{where}: is no (positions, types[, material property])')
+        positions, types = np.asarray(item[0]), np.asarray(item[1])
+        if positions.ndim != 3:
+            raise ValueError(
+                f'{where}: positions have shape {positions.shape}, [T, N, D] was expected'
+            )
+        count = positions.shape[1]
+        if types.dtype.kind not in 'iuf' or types.size not in (1, count):
+            raise ValueError(f'{where}: {count} particles have types of shape {types.shape}')
+        types = types.reshape(()) if types.size == 1 else types
+        kinds = full_space.type_column(types, count, where)
+        yield index, {'positions': positions, 'particle_type': kinds}
 
 
 def read_trajectories(path: str) -> list[Any]:
-    """Returns the trajectories of a file, each a tuple or list.
-
-    Raises:
-        FileNotFoundError: there is no such file.
-        ValueError: it is damaged, too large, or holds anything but numpy arrays.
-    """
+    """Returns the trajectories of a file, each a tuple or list; ValueError if it is damaged, too
+    large, or holds anything but numpy arrays."""
     held = {}
     with files.opened_npz(path) as members:
         for name, file, _ in members:
@@ -58,53 +67,21 @@ def read_trajectories(path: str) -> list[Any]:
     return held[KEY] if KEY in held else list(held.values())
 
 
-def _arrays(item: Any, where: str) -> dict[str, Any]:
-    """Returns a trajectory as arguments of a `FullSpaceRun`."""
-    if not isinstance(item, (list, tuple)) or len(item) not in (2, 3):
-        raise ValueError(f'{where}: is no (positions, types[, material property])')
-    positions, types = np.asarray(item[0]), np.asarray(item[1])
-    if positions.ndim != 3:
-        raise ValueError(f'{where}: positions have shape {positions.shape}, [T, N, D] was expected')
-    count = positions.shape[1]
-    if types.dtype.kind not in 'iuf' or types.size not in (1, count):
-        raise ValueError(f'{where}: {count} particles have types of shape {types.shape}')
-    types = full_space.type_column(types.reshape(()) if types.size == 1 else types, count, where)
-    arrays = {'positions': positions, 'particle_type': types}
-    if len(item) == 3:
-        material = np.asarray(item[2], np.float64)
-        if material.size not in (1, count):
-            raise ValueError(
-                f'{where}: material property has shape {material.shape}; one number a particle is '
-                'read (their own loader fails on more)'
-            )
-        arrays['material'] = np.broadcast_to(material.ravel(), (count,))
-    return arrays
-
-
 def write(folder: str, data: FullSpaceData) -> None:
-    """Writes the data in the layout `gns_data`; runs of different lengths are theirs to take.
-
-    Raises:
-        ValueError: a material property in some trajectories and not in others.
-    """
-    lengths, with_material, splits = set(), set(), full_space.by_split(data)
+    """Writes the data in the layout `gns_data`; runs of different lengths are theirs to take."""
+    lengths, splits = set(), full_space.by_split(data)
     for split, runs in splits.items():
-        trajectories = []
-        for run in runs():
-            parts = [np.asarray(run.positions, np.float32), run.particle_type.astype(np.int64)]
-            if run.material is not None:
-                parts.append(np.asarray(run.material, np.float64))
-            with_material.add(run.material is not None)
-            lengths.add(len(run.positions))
-            trajectories.append(tuple(parts))
+        trajectories = [
+            (np.asarray(run.positions, np.float32), run.particle_type.astype(np.int64))
+            for run in runs()
+        ]
+        lengths |= {len(positions) for positions, _ in trajectories}
         held = np.empty(len(trajectories), dtype=object)
         held[:] = trajectories
         with open(os.path.join(folder, f'{split}.npz'), 'wb') as file:
             np.savez_compressed(file, **{KEY: held})
-    if len(with_material) != 1:
-        raise ValueError('a material property must be there in all trajectories or in none')
     metadata = full_space.common_metadata(data, splits['train']() if 'train' in splits else ())
-    metadata |= {'boundary_augment': 1.0, 'material_feature_len': int(with_material.pop())}
+    metadata |= {'boundary_augment': 1.0, 'material_feature_len': 0}
     metadata = {key: value for key, value in metadata.items() if value is not None}
     # All frames, unlike DeepMind's; null: as long as each trajectory is.
     metadata['sequence_length'] = lengths.pop() if len(lengths) == 1 else None

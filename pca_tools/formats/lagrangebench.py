@@ -76,11 +76,7 @@ def _arrays(group, where: str) -> dict[str, Any]:
     if unknown := sorted(set(theirs[kept].tolist()) - known.keys()):
         raise ValueError(f'{where}: has the unknown particle types {unknown}')
     mapped = np.array([known[kind] for kind in theirs[kept].tolist()], np.int64)
-    arrays = {'positions': positions[:, kept], 'particle_type': mapped}
-    if _is_dataset(group, 'material_property', where):
-        material = group['material_property'][()]
-        arrays['material'] = np.broadcast_to(material, (len(mapped),))
-    return arrays
+    return {'positions': positions[:, kept], 'particle_type': mapped}
 
 
 def _is_dataset(group, key: str, where: str) -> bool:
@@ -101,11 +97,7 @@ def _is_dataset(group, key: str, where: str) -> bool:
 
 
 def write(folder: str, data: FullSpaceData) -> None:
-    """Writes the data; the runs of a split must be equally long.
-
-    Raises:
-        ValueError: runs of different lengths in a split.
-    """
+    """Writes the data; ValueError for runs of different lengths in a split."""
     import h5py
 
     lengths, largest, splits = {}, 0, full_space.by_split(data)

@@ -29,12 +29,8 @@ def run_files(folder: str) -> list[str]:
 
 
 def read(folder: str, dt: float | None = None) -> FullSpaceData:
-    """Opens a folder; `dt` is needed where the files have no `dt`.
-
-    Raises:
-        ValueError: the files state different dt (and none is given), upward axes or motions of the
-            body, or bounds that are none.
-    """
+    """Opens a folder; `dt` is needed where the files have none. ValueError: they state different dt
+    (and none is given), upward axes or motions of the body, or bounds that are none."""
     paths = [os.path.join(folder, name) for name in run_files(folder)]
     stated: dict[str, dict[str, Any]] = {key: {} for key in _SHARED}  # key -> path -> value
     for path in paths:
@@ -118,7 +114,6 @@ def write(folder: str, data: FullSpaceData) -> None:
             'dt': np.float64(np.nan if data.dt is None else data.dt),
             'force': run.force,
             'context': run.context,
-            'material': run.material,
             'bounds': data.bounds,
             'up_axis': data.up_axis,
             'rigid_motion': data.rigid_motion,

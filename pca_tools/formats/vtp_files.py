@@ -80,12 +80,8 @@ def write_points(
 
 
 def write_collection(path: str, files_at_times: Iterable[tuple[float, str]]) -> None:
-    """Writes a `.pvd`, which tells ParaView the time of each file.
-
-    Args:
-        path: the file.
-        files_at_times: pairs (time in s, file name relative to the folder of `path`).
-    """
+    """Writes a `.pvd`, which tells ParaView the time (s) of each file, named relative to its
+    folder."""
     lines = [
         f'<DataSet timestep="{time:.9g}" part="0" file={saxutils.quoteattr(name)}/>'
         for time, name in files_at_times
@@ -153,11 +149,8 @@ def read_points(path: str) -> tuple[np.ndarray, dict[str, np.ndarray], dict[str,
 
 
 def read_collection(path: str) -> list[tuple[float, str]]:
-    """Returns (time in s, path) of every file that a `.pvd` lists, by time.
-
-    Raises:
-        ValueError: it is no collection, lists nothing, or points out of its folder.
-    """
+    """Returns (time in s, path) of every file that a `.pvd` lists, by time; ValueError if it is no
+    collection, lists nothing, or points out of its folder."""
     files.refuse_git_lfs_pointer(path)
     try:
         root = ElementTree.parse(path).getroot()

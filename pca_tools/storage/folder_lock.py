@@ -21,10 +21,7 @@ _MAX_BYTES = 4096
 
 @contextlib.contextmanager
 def locked(folder: str) -> Iterator[None]:
-    """Holds the lock of a folder for the length of a `with` block.
-
-    Args:
-        folder: made if it is absent.
+    """Holds the lock of a folder, made if absent, for the length of a `with` block.
 
     Raises:
         ValueError: another process holds it (the message says which one), or the lock is a link.

@@ -18,11 +18,8 @@ def table(header: Sequence[str], rows: Iterable[Sequence], aligned: bool = False
 
     Args:
       header: titles of the columns.
-      rows: values as `cell` takes them; a row may lack cells at its end.
+      rows: values as `cell` takes them; a row may lack cells at its end, more are a ValueError.
       aligned: whether columns are filled up, to be read in a terminal.
-
-    Raises:
-      ValueError: a row has more cells than the header.
     """
     lines = [list(header)]
     for row in rows:

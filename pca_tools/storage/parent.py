@@ -18,12 +18,8 @@ _SECONDS = 0.2  # between two looks
 
 
 def end_with_parent(pid: int | None = None) -> None:
-    """Lets this process end within a moment of its parent's death.
-
-    Args:
-        pid: of the parent; default: the process that `multiprocessing` started this one from, or
-            the present parent.
-    """
+    """Lets this process end within a moment of the death of its parent: `pid`, else the process
+    that `multiprocessing` started this one from, or the present parent."""
     starter = multiprocessing.parent_process()
     wanted = pid or (starter.pid if starter else os.getppid())
 

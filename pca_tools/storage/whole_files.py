@@ -12,9 +12,10 @@ import ctypes
 import errno
 import json
 import os
+import re
 import shutil
 import uuid
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 TEMPORARY = '.tmp'
@@ -35,17 +36,15 @@ def _stem(name: str) -> str:
     return f'.{name[:_KEPT_OF_NAME]}.'
 
 
-def write_file(path: str, write: Callable[[str], None]) -> None:
+def write_atomically(path: str, write: Callable[[str], None]) -> None:
     """Writes a file under a temporary name and moves it into place only when it is complete.
 
     Args:
         path: final name; its folder must exist.
-        write: called with the temporary name, an empty file in the same folder; it must write and
-            close it.
+        write: called with the temporary name, an empty file in the same folder, which it writes.
 
     Raises:
-        OSError: with the path, if the folder is missing or full; nothing is left under either name,
-            an older file stays.
+        OSError: with the path, if the folder is missing or full; an older file stays.
     """
     path = os.path.abspath(path)
     _check_name(path)
@@ -77,15 +76,11 @@ def write_text(path: str, text: str) -> None:
         with open(temporary, 'w', encoding='utf-8', newline='') as file:
             file.write(text)
 
-    write_file(path, write)
+    write_atomically(path, write)
 
 
 def write_json(path: str, content: Any, indent: int = 2) -> None:
-    """Writes indented JSON, whole or not at all.
-
-    Raises:
-        ValueError: `content` holds NaN or infinity, which JSON does not have.
-    """
+    """Writes indented JSON, whole or not at all; ValueError for NaN and infinity."""
     try:
         text = json.dumps(content, indent=indent, allow_nan=False)
     except ValueError as error:
@@ -93,7 +88,7 @@ def write_json(path: str, content: Any, indent: int = 2) -> None:
     write_text(path, text + '\n')
 
 
-def write_folder(path: str, fill: Callable[[str], None], replace: bool = True) -> None:
+def write_folder_atomically(path: str, fill: Callable[[str], None], replace: bool = True) -> None:
     """Fills a folder under a temporary name and moves it into place only when it is complete.
 
     That the name can be taken is tried before the work. A link is followed to the folder that it
@@ -104,12 +99,12 @@ def write_folder(path: str, fill: Callable[[str], None], replace: bool = True) -
     Args:
         path: final name.
         fill: called with the temporary folder.
-        replace: whether a folder of that name is replaced, so ask before; else it must be empty or
-            absent, also by the time that the new one is complete.
+        replace: whether a folder of that name is replaced; else it must be empty or absent, also by
+            the time that the new one is complete.
 
     Raises:
         OSError: the name cannot be taken, a file could not be written, or another writer was
-            faster; nothing is left under a new name, an older folder stays.
+            faster; an older folder stays.
     """
     path = os.path.realpath(path)
     _check_name(path)
@@ -118,9 +113,7 @@ def write_folder(path: str, fill: Callable[[str], None], replace: bool = True) -
     if os.path.ismount(path):
         _fill_mount(path, fill)
         return
-    temporary = temporary_beside(path)
-    os.mkdir(temporary)
-    try:
+    with _temporary_folder(path) as temporary:
         if not os.path.lexists(path):  # try the name now: after the work is too late
             os.rename(temporary, path)
             os.rename(path, temporary)
@@ -129,11 +122,19 @@ def write_folder(path: str, fill: Callable[[str], None], replace: bool = True) -
         fill(temporary)
         if replace and os.path.isdir(path) and os.listdir(path):
             _exchange(temporary, path)
-            return
-        os.rename(temporary, path)  # refuses to replace a folder that is not empty
+        else:
+            os.rename(temporary, path)  # refuses to replace a folder that is not empty
+
+
+@contextlib.contextmanager
+def _temporary_folder(beside: str) -> Iterator[str]:
+    temporary = temporary_beside(beside)
+    os.mkdir(temporary)
+    try:
+        yield temporary
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
-        sync_folder(os.path.dirname(path))
+        sync_folder(os.path.dirname(beside))
 
 
 def replace_files(
@@ -142,23 +143,19 @@ def replace_files(
     """Replaces a set of files in a folder that keeps its other ones; the folder's one writer calls.
 
     Nothing changes before all new files are complete. From then on `last` is absent until the set
-    is whole again, so a set with it is never mixed.
+    is whole again, so a set with it is never mixed. OSError: one could not be written, the old set
+    stays.
 
     Args:
         folder: present.
         fill: called with a temporary folder, which it fills with files.
         is_old: whether a name belongs to the set.
         last: the file of the set that says that the others are there.
-
-    Raises:
-        OSError: a file could not be written; the old set stays.
     """
     for name in os.listdir(folder):  # of writers that were killed
         if name.startswith(_stem(last)) and name.endswith(TEMPORARY):
             shutil.rmtree(os.path.join(folder, name), ignore_errors=True)
-    temporary = temporary_beside(os.path.join(folder, last))
-    os.mkdir(temporary)
-    try:
+    with _temporary_folder(os.path.join(folder, last)) as temporary:
         fill(temporary)
         names = sorted(os.listdir(temporary), key=lambda name: (name == last, name))
         with contextlib.suppress(FileNotFoundError):
@@ -168,34 +165,19 @@ def replace_files(
                 os.remove(os.path.join(folder, name))
         for name in names:
             os.replace(os.path.join(temporary, name), os.path.join(folder, name))
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
-        sync_folder(folder)
 
 
-def recover_folder(path: str) -> str | None:
-    """Gives a folder its name back where a writer was killed while it replaced it.
-
-    Only if there is nothing under the name, and one folder that a writer had put aside.
-
-    Returns:
-        Where it lay, or None if there was nothing to do.
-    """
+def recover_folder(path: str) -> None:
+    """Gives a folder its name back where a writer was killed while it replaced it: if there is
+    nothing under the name, and one folder that a writer had put aside."""
     parent, name = os.path.split(os.path.abspath(path))
     if os.path.lexists(path) or not os.path.isdir(parent):
-        return None
-    aside = [
-        entry
-        for entry in os.listdir(parent)
-        if entry.startswith(_stem(name)) and entry.endswith(_OLD)
-        and len(entry) == len(_stem(name)) + 32 + len(_OLD)
-    ]  # fmt: skip
-    if len(aside) != 1:
-        return None
-    old = os.path.join(parent, aside[0])
-    os.rename(old, path)
-    print(f'{path}: was put aside by a writer that did not finish; it has its name again')
-    return old
+        return
+    put_aside = re.compile(re.escape(_stem(name)) + '.{32}' + re.escape(_OLD))
+    aside = list(filter(put_aside.fullmatch, os.listdir(parent)))
+    if len(aside) == 1:
+        os.rename(os.path.join(parent, aside[0]), path)
+        print(f'{path}: was put aside by a writer that did not finish; it has its name again')
 
 
 def _exchange(temporary: str, path: str) -> None:
@@ -224,23 +206,17 @@ def _swap(first: str, second: str) -> bool:
 
 def _fill_mount(path: str, fill: Callable[[str], None]) -> None:
     """Fills an empty mount point: inside it, then everything one level up, last written last."""
-    held = [name for name in os.listdir(path) if name != 'lost+found']
-    if held:
+    if any(name != 'lost+found' for name in os.listdir(path)):
         raise OSError(
             errno.ENOTEMPTY, 'is a mount point, which cannot be replaced, and not empty', path
         )
-    temporary = os.path.join(path, f'.{uuid.uuid4().hex}{TEMPORARY}')
-    os.mkdir(temporary)
-    try:
+    with _temporary_folder(os.path.join(path, 'filled')) as temporary:
         fill(temporary)
         # The manifest is written last, and says that all others are there.
         with os.scandir(temporary) as entries:
             found = sorted(entries, key=lambda entry: entry.stat().st_mtime_ns)
         for entry in found:
             os.rename(entry.path, os.path.join(path, entry.name))
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
-        sync_folder(path)
 
 
 def remove_temporary(folder: str) -> None:
@@ -253,16 +229,12 @@ def remove_temporary(folder: str) -> None:
 
 def sync_folder(folder: str) -> None:
     """Makes a rename itself durable, where the file system can."""
-    try:
+    with contextlib.suppress(OSError):
         handle = os.open(folder, os.O_RDONLY)
-    except OSError:
-        return
-    try:
-        os.fsync(handle)
-    except OSError:
-        pass
-    finally:
-        os.close(handle)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
 
 
 def _check_name(path: str) -> None:

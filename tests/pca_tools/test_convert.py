@@ -224,7 +224,7 @@ def machine_run(case, arrays):
             arrays[name] = rng.normal(size=(24, *shape)).astype(np.float32)
     if case in (3, 4):
         for name in ('positions', 'rigid_positions', 'force', 'pose'):
-            arrays[name] = np.concatenate([arrays[name], arrays[name][:: -case]])
+            arrays[name] = np.concatenate([arrays[name], arrays[name][::-case]])
     arrays['torque'] = rng.normal(size=arrays['force'].shape).astype(np.float32)
     arrays['something_new'] = np.zeros(3)
 

@@ -7,7 +7,7 @@ import zipfile
 import numpy as np
 import pytest
 
-from pca_tools import files
+from pca_tools import command, files
 
 POINTER = (
     b'version https://git-lfs.github.com/spec/v1\n'
@@ -123,6 +123,6 @@ def test_large_json_is_refused_before_it_is_parsed(tmp_path):
 
 
 def test_messages_cannot_control_a_terminal():
-    assert files.printable('case \x1b[2J\x07 ü\nnext\t1') == 'case \\x1b[2J\\x07 ü\nnext\t1'
-    assert files.printable('\u202eevil\x9b') == '\\u202eevil\\x9b'
-    assert len(files.printable('x' * 30_000)) < 5000
+    assert command.printable('case \x1b[2J\x07 ü\nnext\t1') == 'case \\x1b[2J\\x07 ü\nnext\t1'
+    assert command.printable('\u202eevil\x9b') == '\\u202eevil\\x9b'
+    assert len(command.printable('x' * 30_000)) < 5000

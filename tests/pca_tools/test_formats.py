@@ -234,9 +234,9 @@ def test_both_layouts_and_other_writings_of_geoelements(tmp_path):
     first, *rest = data.runs()
     assert data.dt == 0.01 and data.up_axis == 1 and len(rest) == 2
     np.testing.assert_array_equal(first.positions, positions)
-    assert first.particle_type.tolist() == [6] * 5 and first.material is None
+    assert first.particle_type.tolist() == [6] * 5
     assert rest[1].particle_type.tolist() == types.tolist()
-    assert rest[1].material.tolist() == [0.4] * 5 and rest[1].split == 'test'
+    assert rest[1].split == 'test'
     # in the plane: a third coordinate of 0, the boundary is the body of those runs that have one
     np.savez(folder / 'train.npz', gns_data=several)
     import_data(str(folder), str(tmp_path / 'raw'), check_units=False)

@@ -59,7 +59,9 @@ def check(data, cases):
 def test_maps_are_those_of_the_raw_runs(whole, tmp_path):
     raw, data = whole
     check(data, {'train': [1, 2, 3, 4], 'valid': [5], 'test': [6, 7]})
-    told = [f.text for f in inspect_folder(data).findings if f.level == OK and 'height' in f.text]
+    told = [
+        text for level, text in inspect_folder(data).findings if level == OK and 'height' in text
+    ]
     low = min(surface(case)[20].min() for case in range(1, 8))  # the last frame that is kept
     high = max(surface(case)[0].max() for case in range(1, 8))
     assert len(told) == 1 and f'{low:.3f} to {high:.3f} m high, every 4 frames' in told[0]
@@ -113,7 +115,8 @@ def test_runs_without_a_map_or_with_another_one(whole, tmp_path):
     with pytest.raises(FileNotFoundError, match='holds no height map; convert it again'):
         heights.read(str(tmp_path / 'out'), 'train')
     assert not list((tmp_path / 'out').glob('heights*'))
-    assert not any('height map' in f.text for f in inspect_folder(str(tmp_path / 'out')).findings)
+    findings = inspect_folder(str(tmp_path / 'out')).findings
+    assert not any('height map' in text for _, text in findings)
 
 
 def test_damaged_files_are_refused(whole, tmp_path):
@@ -134,7 +137,7 @@ def test_damaged_files_are_refused(whole, tmp_path):
     with pytest.raises(ValueError, match='run 0: packed numbers'):
         heights.Heights(str(path))[0]
     shutil.copy(data / 'heights_test.npz', path)
-    errors = [f.text for f in inspect_folder(str(data)).findings if f.level == ERROR]
+    errors = [text for level, text in inspect_folder(str(data)).findings if level == ERROR]
     assert any('heights_train.npz: holds other runs than train' in text for text in errors)
     path.unlink()
     with pytest.raises(FileNotFoundError, match='heights_train'):

@@ -33,7 +33,7 @@ def test_threads_of_one_process_do_not_meet(tmp_path):
     def write(number):
         for _ in range(60):
             try:
-                whole_files.write_file(path, put(str(number) * 1000))
+                whole_files.write_atomically(path, put(str(number) * 1000))
             except OSError as error:
                 failed.append(error)
 
@@ -54,10 +54,10 @@ def test_folder_writers_of_one_process_do_not_meet(tmp_path):
 
     def outer(folder):
         fill_with('outer')(folder)
-        whole_files.write_folder(path, fill_with('inner'))
+        whole_files.write_folder_atomically(path, fill_with('inner'))
         assert os.listdir(folder) == ['a']
 
-    whole_files.write_folder(path, outer)
+    whole_files.write_folder_atomically(path, outer)
     assert (tmp_path / 'set' / 'a').read_text() == 'outer'
     assert os.listdir(tmp_path) == ['set']
 
@@ -67,7 +67,7 @@ def test_links_under_guessed_names_are_not_written_through(tmp_path):
     victim.write_text('precious')
     for name in (f'.x.{os.getpid()}.tmp', '.x.tmp', 'x.tmp'):
         (tmp_path / name).symlink_to(victim)
-    whole_files.write_file(str(tmp_path / 'x'), put('new'))
+    whole_files.write_atomically(str(tmp_path / 'x'), put('new'))
     assert victim.read_text() == 'precious' and (tmp_path / 'x').read_text() == 'new'
     assert stat.S_IMODE(os.stat(tmp_path / 'x').st_mode) == 0o666 & ~_umask()
 
@@ -81,19 +81,19 @@ def _umask():
 def test_output_that_is_a_link_is_the_folder_it_means(tmp_path):
     (tmp_path / 'disk').mkdir()
     (tmp_path / 'out').symlink_to(tmp_path / 'disk')
-    whole_files.write_folder(str(tmp_path / 'out'), fill_with('new'))
+    whole_files.write_folder_atomically(str(tmp_path / 'out'), fill_with('new'))
     assert (tmp_path / 'out').is_symlink() and (tmp_path / 'disk' / 'a').read_text() == 'new'
     (tmp_path / 'later').symlink_to(tmp_path / 'not_yet')
-    whole_files.write_folder(str(tmp_path / 'later'), fill_with('new'))
+    whole_files.write_folder_atomically(str(tmp_path / 'later'), fill_with('new'))
     assert (tmp_path / 'not_yet' / 'a').read_text() == 'new'
 
 
 @pytest.mark.parametrize('length', [246, 255])
 def test_long_names_lose_nothing(tmp_path, length):
     name = 'n' * length
-    whole_files.write_folder(str(tmp_path / name), fill_with('new'))
-    whole_files.write_file(str(tmp_path / name / name), put('new'))
-    whole_files.write_folder(str(tmp_path / name), fill_with('newer'))
+    whole_files.write_folder_atomically(str(tmp_path / name), fill_with('new'))
+    whole_files.write_atomically(str(tmp_path / name / name), put('new'))
+    whole_files.write_folder_atomically(str(tmp_path / name), fill_with('newer'))
     assert os.listdir(tmp_path) == [name] and os.listdir(tmp_path / name) == ['a']
 
 
@@ -104,9 +104,9 @@ def test_impossible_names_are_told_before_the_work(tmp_path):
     (tmp_path / 'file').write_text('')
     for name, error in (('n' * 256, OSError), ('file', NotADirectoryError), ('file/x', OSError)):
         with pytest.raises(error):
-            whole_files.write_folder(str(tmp_path / name), work)
+            whole_files.write_folder_atomically(str(tmp_path / name), work)
     with pytest.raises(OSError, match='name'):
-        whole_files.write_file(str(tmp_path / ('n' * 256)), work)
+        whole_files.write_atomically(str(tmp_path / ('n' * 256)), work)
     assert os.listdir(tmp_path) == ['file']
 
 
@@ -121,11 +121,11 @@ def test_mount_points_are_filled_in_place(tmp_path, monkeypatch):
         for name in ('z', 'a', 'manifest.json'):
             put(name)(os.path.join(folder, name))
 
-    whole_files.write_folder(str(path), fill)
+    whole_files.write_folder_atomically(str(path), fill)
     assert sorted(os.listdir(path)) == ['a', 'manifest.json', 'z']
     assert path.stat().st_ino == inode and os.listdir(tmp_path) == ['mount']
     with pytest.raises(OSError, match='mount point'):
-        whole_files.write_folder(str(path), fill)
+        whole_files.write_folder_atomically(str(path), fill)
 
 
 def killed_before(point, names, work):
@@ -162,10 +162,12 @@ def test_kill_while_a_folder_is_replaced_leaves_a_whole_one(tmp_path, monkeypatc
         monkeypatch.setattr(whole_files, '_swap', lambda *names: False)
     for point in range(1, 12):
         path = tmp_path / str(point) / 'set'
-        whole_files.write_folder(str(path), fill_with('old'))
+        whole_files.write_folder_atomically(str(path), fill_with('old'))
         names = ('os.rename', 'os.mkdir', 'shutil.rmtree', '_swap')
         was_killed = killed_before(
-            point, names, lambda path=path: whole_files.write_folder(str(path), fill_with('new'))
+            point,
+            names,
+            lambda path=path: whole_files.write_folder_atomically(str(path), fill_with('new')),
         )
         if not swaps:  # else there is never a moment without a whole folder under the name
             whole_files.recover_folder(str(path))
@@ -184,7 +186,7 @@ def test_recovery_takes_only_what_a_writer_put_aside(tmp_path):
     aside.mkdir()
     (aside / 'a').write_text('old')
     with contextlib.suppress(OSError):
-        whole_files.write_folder(str(path), fill_with('new'), replace=False)
+        whole_files.write_folder_atomically(str(path), fill_with('new'), replace=False)
     assert (path / 'a').read_text() == 'old'  # back under its name, and not replaced
     assert (tmp_path / '.set.mine.old').is_dir()
 
