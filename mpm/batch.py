@@ -29,9 +29,8 @@ def generate(
     num_processes: int = 1,
     tool: dict | None = None,
     where: str = '',
-    show_progress: bool = True,
 ) -> list[dict]:
-    """Simulates the runs that a folder does not hold yet.
+    """Simulates the runs that a folder does not hold yet; returns their entries of the manifest.
 
     All motions are checked before the first is simulated. A run that fails does not keep the others
     from being made; what is finished stays, and the same call goes on with the rest.
@@ -44,10 +43,6 @@ def generate(
         num_processes: runs at a time.
         tool: `bodies.check_tool`, of all runs; None: what each run has.
         where: see `pca_tools.workers`; '': processes of this machine.
-        show_progress: whether to draw bars.
-
-    Returns:
-        The manifest entries of the new runs.
 
     Raises:
         ValueError: if the folder holds another scene or other settings, another process writes into
@@ -66,7 +61,7 @@ def generate(
         with locked(folder):
             remove_temporary(folder)
             job = _Job(catalogue.in_bin(scene, name), settings, tool, folder)
-            made, failed = _generate(job, some, num_processes, where, show_progress)
+            made, failed = _generate(job, some, num_processes, where)
         new += made
         failures += failed
     if failures:
@@ -87,7 +82,6 @@ class _Job:
     folder: str
 
     def shared(self) -> dict:
-        """Returns the parameters that all runs of the folder share."""
         common = {'solver_version': versions.SOLVER_VERSION, 'bin_m': list(self.scene.bin.size)}
         return self.settings.recorded() | common
 
@@ -107,7 +101,6 @@ def _simulate(job_and_case: tuple) -> dict | str:
 
 @functools.lru_cache(maxsize=1)
 def _packed(box, settings, folder) -> tuple:
-    """The packing of a folder of raw runs, made if it is absent."""
     soil = make_soil(settings.youngs_modulus, scenes.PACKING_MU_S)
     return packing.settled(box, soil, settings.seed, folder)
 
@@ -148,7 +141,7 @@ def _unfinished(job: _Job, cases, finished: list[dict]) -> list:
     return [case for case in cases if _id(case) not in done]
 
 
-def _generate(job: _Job, cases, num_processes, where, show_progress):
+def _generate(job: _Job, cases, num_processes, where):
     """Makes the runs of one folder; returns the new entries and why others failed."""
     scene = job.scene
     finished = raw_run.finished_runs(job.folder, scene, job.shared())
@@ -172,14 +165,12 @@ def _generate(job: _Job, cases, num_processes, where, show_progress):
         for number, case in enumerate(todo):
             frames = catalogue.motion_of(scene, case, job.tool).simulated_frames
             title = f'{_name(scene, case)} ({number + 1} of {len(todo)})'
-            with tqdm(
-                total=frames, desc=title, unit='frame', disable=not show_progress, mininterval=1.0
-            ) as bar:
+            with tqdm(total=frames, desc=title, unit='frame', mininterval=1.0) as bar:
                 note(case, job.simulate(case, lambda frame, bar=bar: bar.update(frame - bar.n)))
         return new, failures
     with (
         workers.start(where, min(num_processes, len(todo))) as crew,
-        tqdm(total=len(todo), desc=scene.name, unit='run', disable=not show_progress) as bar,
+        tqdm(total=len(todo), desc=scene.name, unit='run') as bar,
     ):
         for outcome in crew.run(_simulate, [(job, case) for case in todo]):
             case = todo[outcome.index]

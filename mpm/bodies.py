@@ -41,30 +41,21 @@ MAX_SIZE = 2.0  # m; more is taken for another unit
 
 
 class Body(NamedTuple):
-    """Shape and surface of a rigid body, upright in its own frame; kernels take it as it is.
+    """Shape and surface of a rigid body, upright in its own frame; kernels take it as it is."""
 
-    Attributes:
-        outline: float64 [M, 2], m: vertices of a polygon, counter-clockwise; two: a segment; one: a
-            point.
-        radius: m, by which the outline is thickened.
-        half_width: across, m.
-        friction: Coulomb coefficient between body and soil.
-        grousers: how many stand out of the rim of a wheel.
-        grouser_height, grouser_radius: beyond the rim, and half the thickness, m.
-        plates: float64 [P, 2], m: the polygon of the two side plates; P = 0: there are none.
-        plate_thickness: m, inwards from each end.
-        points: float64 [R, 3], sample points relative to the reference point (m).
-    """
-
+    # float64 [M, 2], m: vertices of a polygon, counter-clockwise; two: a segment; one: a point
     outline: np.ndarray
-    radius: float
-    half_width: float
-    friction: float
-    grousers: int = 0
+    radius: float  # m, by which the outline is thickened
+    half_width: float  # across, m
+    friction: float  # Coulomb coefficient between body and soil
+    grousers: int = 0  # how many stand out of the rim of a wheel
+    # grouser_height, grouser_radius: beyond the rim, and half the thickness, m
     grouser_height: float = 0.0
     grouser_radius: float = 0.0
+    # float64 [P, 2], m: the polygon of the two side plates; P = 0: there are none
     plates: np.ndarray = np.zeros((0, 2))
-    plate_thickness: float = 0.0
+    plate_thickness: float = 0.0  # m, inwards from each end
+    # float64 [R, 3], sample points relative to the reference point (m)
     points: np.ndarray = np.zeros((0, 3))
 
     @property
@@ -79,29 +70,20 @@ class Body(NamedTuple):
         return len(self.outline) == 1
 
 
-def make_blade(width: float = BLADE_WIDTH, height: float = BLADE_HEIGHT) -> Body:
+def make_blade(width: float = BLADE_WIDTH) -> Body:
     """Builds the blade; its lean is part of its pose.
 
-    The reference point is the middle of the round lower edge, half a thickness above its
-    lowest point. R = 20 points lie in the plane of the front face, 4 rows x 5 columns, in the
-    middle of the face: rows 0.1 m apart, columns 0.1 m for the width of 0.457 m and in proportion
-    for another; so are the rows for another height.
-
-    Raises:
-        ValueError: a width that is not positive, a height below twice the thickness.
+    The reference point is the middle of the round lower edge, half a thickness above its lowest
+    point. R = 20 points lie in the plane of the front face, 4 rows x 5 columns, in the middle of
+    the face: rows 0.1 m apart, columns 0.1 m for the width of 0.457 m and in proportion for
+    another.
     """
     if not width > 0.0:
         raise ValueError(f'blade width must be positive, got {width} m')
-    if not height > 2 * BLADE_THICKNESS:
-        raise ValueError(
-            f'blade height must exceed twice the thickness of {BLADE_THICKNESS} m, got {height} m'
-        )
-    radius = BLADE_THICKNESS / 2
-    length = height - BLADE_THICKNESS
+    radius, length = BLADE_THICKNESS / 2, BLADE_HEIGHT - BLADE_THICKNESS
     spacing = POINT_SPACING * width / BLADE_WIDTH
-    rows = POINT_SPACING * height / BLADE_HEIGHT
     points = [
-        (-radius, length / 2 + (row - 1.5) * rows, (column - 2) * spacing)
+        (-radius, length / 2 + (row - 1.5) * POINT_SPACING, (column - 2) * spacing)
         for row in range(4)
         for column in range(5)
     ]
@@ -115,25 +97,18 @@ def make_wheel(
     grousers: tuple = (0, 0.0, 0.0),
     friction: float = WHEEL_FRICTION,
 ) -> Body:
-    """Builds a wheel; the reference point is its axle.
-
-    R = 16 points: two rings of 8 at the rim, 45 degrees apart.
+    """Builds a wheel; the reference point is its axle. R = 16 points: two rings of 8 at the rim, 45
+    degrees apart.
 
     Args:
         diameter: of the rim, m.
         width: m; None: that of the published wheels, of which the two small ones are 2/3 as wide.
-        grousers: number, height beyond the rim and thickness (m) of the bars.
+        grousers: number, height beyond the rim and thickness (m) of the bars; ValueError if they
+            overlap, or are not higher than half their thickness.
         friction: Coulomb coefficient.
-
-    Raises:
-        ValueError: if a length is not positive, or the grousers overlap.
     """
-    if not diameter > 0.0:
-        raise ValueError(f'wheel diameter must be positive, got {diameter} m')
     if width is None:
         width = WHEEL_WIDTH if diameter > 0.2 else WHEEL_WIDTH * 2.0 / 3.0
-    if not width > 0.0:
-        raise ValueError(f'wheel width must be positive, got {width} m')
     radius = diameter / 2.0
     count, height, thickness = grousers
     if count:
@@ -163,10 +138,8 @@ def make_ball(diameter: float) -> Body:
 
 
 def wheel_edges() -> tuple:
-    """Returns the directed edges (sender, receiver) of the wheel's points.
-
-    They join each point with its two neighbours on its ring, both directions.
-    """
+    """Returns the directed edges (sender, receiver) that join each point of the wheel with its two
+    neighbours on its ring."""
     n = WHEEL_RING_POINTS
     near = [(j % n, i) for i in range(n) for j in (i - 1, i + 1)]
     return tuple((ring * n + j, ring * n + i) for ring in range(2) for j, i in near)
@@ -206,11 +179,8 @@ _WHEEL = {'name', 'radius', 'width', 'friction', 'grousers'}
 
 
 def check_tool(tool: dict) -> dict:
-    """Returns a tool's description with its defaults filled in; see `read_tool`.
-
-    Raises:
-        ValueError: as there, without the file.
-    """
+    """Returns a tool's description with its defaults filled in; see `read_tool`, as is the
+    ValueError."""
     is_wheel = isinstance(tool, dict) and 'radius' in tool
     _check_entries(tool, _WHEEL if is_wheel else _OUTLINE, 'the tool')
     name = tool.get('name', 'tool')
@@ -263,7 +233,6 @@ def _length(tool, name):
 
 
 def _polygon(vertices, what, least=2) -> list:
-    """Checked vertices, counter-clockwise."""
     try:
         points = np.array(vertices, dtype=np.float64)
     except (TypeError, ValueError):
@@ -327,13 +296,10 @@ def _hull(points) -> list:
 
 
 def tool_body(tool: dict) -> Body:
-    """Returns the body of a checked description.
+    """Returns the body of a checked description; ValueError as `make_wheel`.
 
     R = 20 sample points of an outline: 4 places along it, from the vertex nearest to the reference
     point on, 5 columns across; of a wheel as `make_wheel`.
-
-    Raises:
-        ValueError: see `make_wheel`.
     """
     if 'radius' in tool:
         g = tool.get('grousers', {'count': 0, 'height': 0.0, 'thickness': 0.0})
@@ -382,16 +348,10 @@ def lowest(body: Body, theta: np.ndarray) -> np.ndarray:
 
 
 def extent_below(body: Body, poses: np.ndarray, height: float):
-    """Returns the extent of a body below a height, as seen from the side.
+    """Returns the extent of a body at `poses` [T, 4] below a `height` (m), as seen from the side.
 
-    Args:
-        body: `Body`.
-        poses: float64 [T, 4].
-        height: m.
-
-    Returns:
-        Lowest and highest x [T] of what is below `height` (the whole reach of a round end
-        that dips below it; +-inf if nothing does) and the lowest y [T], m.
+    That is lowest and highest x [T] of what is below (the whole reach of a round end that dips
+    below it; +-inf if nothing does) and the lowest y [T], m.
     """
     x, y, theta = np.asarray(poses, np.float64).T[:3]
     cosine, sine = np.cos(theta), np.sin(theta)
@@ -486,18 +446,12 @@ def _across(plane, nx, ny, side, sign):
 
 @numba.njit(**JIT)
 def signed_distance(body, sine, cosine, rx, ry, rz):
-    """Signed distance (m, negative inside) from a body's surface, and the outward normal there.
+    """Signed distance (m, negative inside) from a body's surface, and the outward normal there:
+    (distance, nx, ny, nz).
 
     Exact outside, and inside of one part; where two parts overlap (rim and grouser, shell and side
-    plate) the depth inside is that of the deeper one, a lower bound.
-
-    Args:
-        body: `Body`.
-        sine, cosine: of its angle.
-        rx, ry, rz: position relative to the reference point (m), axes of the world.
-
-    Returns:
-        (distance, nx, ny, nz).
+    plate) the depth inside is that of the deeper one, a lower bound. `sine` and `cosine` are of the
+    body's angle; rx, ry, rz (m) count from the reference point, along the axes of the world.
     """
     if body.half_width == 0.0:
         norm = math.sqrt(rx * rx + ry * ry + rz * rz)
@@ -535,13 +489,8 @@ def _distances(body, pose, positions):
 
 
 def signed_distances(body: Body, pose, positions: np.ndarray) -> np.ndarray:
-    """Returns the signed distance [N] (m, negative inside) of points [N, 3] from a body's surface.
-
-    Args:
-        body: the body.
-        pose: x, y (m) of its reference point, its angle (rad), z (m).
-        positions: m.
-    """
+    """Returns the signed distance [N] (m, negative inside) of points [N, 3] (m) from a body's
+    surface; the pose is x, y (m) of its reference point, its angle (rad), z (m)."""
     return _distances(
         body, np.array(pose, dtype=np.float64), np.ascontiguousarray(positions, np.float64)
     )

@@ -37,15 +37,10 @@ STIFFNESS = 0.25  # of M A / h
 
 
 class ContactLaw(NamedTuple):
-    """Constants of eqs. (5) and (6).
+    """Constants of eqs. (5) and (6)."""
 
-    Attributes:
-        radius: distance of a particle from the surface at which it touches, m.
-        stiffness: N/m.
-    """
-
-    radius: float
-    stiffness: float
+    radius: float  # distance of a particle from the surface at which it touches, m
+    stiffness: float  # N/m
 
 
 def make_contact(soil: Soil, particle_volume: float, spacing: float) -> ContactLaw:

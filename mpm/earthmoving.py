@@ -18,7 +18,7 @@ def draft_force(
     unit_weight: float,
     heap_weight=None,
 ) -> float:
-    """Returns the horizontal force (N) that pushes a flat blade through soil.
+    """Returns the horizontal force (N) that pushes a flat blade through soil, inf if none does.
 
     A wedge of soil between the blade's face and a failure plane at the angle beta slides up; the
     force is the least over beta. Equilibrium of blade force P (at `wall_angle` to the face's
@@ -27,17 +27,13 @@ def draft_force(
     s = depth sqrt(cot2 beta + 2 cot rake cot beta) add 2 s / 3 to the width of the wedge.
 
     Args:
-        depth: of the blade's edge below the surface, m.
-        width: of the blade, m.
+        depth, width: of the blade's edge below the surface, and of the blade, m.
         rake: angle between the blade's face and the horizontal, rad; pi / 2 is upright.
-        friction_angle: phi of the soil, rad.
-        wall_angle: delta between soil and blade, rad.
+        friction_angle, wall_angle: phi of the soil, delta between soil and blade, rad.
         unit_weight: density x gravity, N/m3.
         heap_weight: function of the wedge's reach (m) ahead of the edge -> weight (N) of the soil
             above the original surface within it, in front of the blade; None: no heap.
 
-    Raises:
-        ValueError: if no failure plane gives a positive force.
     """
     best = math.inf
     for beta in np.linspace(math.radians(5.0), math.radians(60.0), 221):
@@ -53,9 +49,4 @@ def draft_force(
         if heap_weight is not None:
             weight += heap_weight(depth * cot_beta)
         best = min(best, weight / lever * math.sin(rake + wall_angle))
-    if not math.isfinite(best):
-        raise ValueError(
-            f'no failure plane: rake {rake:.3g}, friction angle {friction_angle:.3g}, '
-            f'wall angle {wall_angle:.3g} rad'
-        )
     return best

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from mpm import bodies, packing
-from mpm.columns import VOLUME_RATIO, C, S, V
+from mpm.columns import V
 from mpm.constitutive import Soil, make_soil
 from mpm.grid import Grid, make_grid
 from mpm.motions.drive import poses
@@ -25,10 +25,8 @@ class Experiment:
     def __init__(
         self, room: Bin, block: Bin, soil: Soil, lift: float = 0.0, smooth_sides: bool = False
     ):
-        """Fills the lower corner of the box `room` with the soil of `block`, raised by `lift` m.
-
-        `smooth_sides`: whether the walls across z are smooth.
-        """
+        """Fills the lower corner of the box `room` with the soil of `block`, raised by `lift` m;
+        `smooth_sides`: the walls across z are smooth."""
         grid = make_grid(room)
         grid = grid._replace(walls=grid.walls[:5] + (int(smooth_sides),))
         self.particles = packing.lattice(block, seed=0)
@@ -50,40 +48,16 @@ class Experiment:
         """Returns the momentum [3] of the soil, N s."""
         return self.mass * self.particles[:, V : V + 3].sum(axis=0)
 
-    def energy(self, gravity: float = EARTH_GRAVITY) -> float:
-        """Returns kinetic, elastic and potential energy of the soil in J, heights from the floor.
-
-        The affine part of a particle's motion carries 1/2 m C D C^T with the inertia D of quadratic
-        B-splines. The pressure K (1 / J - 1) is the derivative of K (J - 1 - ln J).
-        """
-        q, soil = self.particles, self.solver.soil
-        ratio, s = q[:, VOLUME_RATIO], q[:, S : S + 6]
-        inertia = np.tile(self.grid.cell**2 / 4, 3)
-        motion = (q[:, V : V + 3] ** 2).sum() + (inertia * q[:, C : C + 9] ** 2).sum()
-        pressed = np.minimum(ratio, 1.0)
-        bulk = soil.bulk_modulus * (pressed - 1.0 - np.log(pressed)).sum()
-        shear = (s[:, :3] ** 2).sum(axis=1) + 2.0 * (s[:, 3:] ** 2).sum(axis=1)
-        elastic = bulk + (ratio * shear).sum() / (4.0 * soil.shear_modulus)
-        height = (q[:, 1] - CORNER).sum()
-        return float(self.mass * (0.5 * motion + gravity * height) + self.solver.volume * elastic)
-
     def keep(self, rows: np.ndarray) -> None:
-        """Leaves only the particles of a mask or a list of rows."""
         self.particles = self.particles[rows]
 
     def advance(
-        self,
-        seconds: float,
-        gravity: float = EARTH_GRAVITY,
-        body: bodies.Body | None = None,
-        pose=None,
+        self, seconds: float, gravity: float = EARTH_GRAVITY, body=None, pose=None
     ) -> float:
         """Advances by whole exchange intervals, at least `seconds`; returns how far, s.
 
-        A `body` moves along `pose`: times [T] (s, from the start of this call) -> its poses [T, 4].
-
-        Raises:
-            ValueError: if a particle leaves the grid.
+        A `bodies.Body` moves along `pose`: times [T] (s, from the start of this call) -> its poses
+        [T, 4].
         """
         intervals = math.ceil(seconds / EXCHANGE - 1e-9)
         order = packing.cell_order(self.particles, self.grid)

@@ -71,12 +71,9 @@ def define_run_flags() -> None:
 
 
 def chosen_runs(values) -> tuple[scenes.Scene, tuple, dict | None]:
-    """Returns the scene that the flags name, its runs (cases, ids of seeds, recordings), the tool.
-
-    Raises:
-        ValueError: see `catalogue.select_runs`, `catalogue.select_seeds` and `bodies.read_tool`.
-    """
-    scene, runs = scenes.scene_named(values.scene), ()
+    """Returns the scene that the flags name, its runs (cases, ids of seeds, recordings), the tool;
+    ValueError as `catalogue.select_runs`, `catalogue.select_seeds` and `bodies.read_tool`."""
+    scene, runs = scenes.SCENES[values.scene], ()
     if values.cases:
         runs = catalogue.select_runs(scene, values.cases)
     if values.operator_seeds is not None:

@@ -19,21 +19,14 @@ PAD = 3  # nodes outside the bin on the low side
 
 
 class Grid(NamedTuple):
-    """The background grid of a bin. A NamedTuple, so that kernels can take it.
+    """The background grid of a bin. A NamedTuple, so that kernels can take it."""
 
-    Attributes:
-        shape: nodes per axis.
-        origin: position of node (0, 0, 0), m.
-        dx: length of a cell along x and y, m.
-        dz: along z, m.
-        walls: node indices (x low, x high, floor, z low, z high) of the sticky walls, and 1 if
-            the walls across z are smooth instead.
-    """
-
-    shape: tuple
-    origin: tuple
-    dx: float
-    dz: float
+    shape: tuple  # nodes per axis
+    origin: tuple  # position of node (0, 0, 0), m
+    dx: float  # length of a cell along x and y, m
+    dz: float  # along z, m
+    # Node indices (x low, x high, floor, z low, z high) of the sticky walls, and 1 if the walls
+    # across z are smooth instead
     walls: tuple
 
     @property
@@ -48,11 +41,8 @@ class Grid(NamedTuple):
 
 
 def make_grid(box: Bin) -> Grid:
-    """Returns the grid of a bin; its walls and floor lie on planes of nodes.
-
-    Raises:
-        ValueError: if length or width are not a whole number of cells.
-    """
+    """Returns the grid of a bin; its walls and floor lie on planes of nodes. ValueError: length or
+    width are not a whole number of cells."""
     cells = [box.size[0] / box.dx, box.height / box.dx, box.size[2] / box.dz]
     for name, count in (('length', cells[0]), ('width', cells[2])):
         if abs(count - round(count)) > 1e-6:
@@ -73,8 +63,7 @@ def start_nodes(nodes, grid, box, fall):
 
     Args:
         nodes: `solver.Nodes`.
-        grid: `grid.Grid`; soil rests on and beyond its walls, the plane of a wall is the
-            plane of its nodes. If walls[5] is 1, the two walls across z are smooth.
+        grid: `grid.Grid`; soil rests on and beyond its walls.
         box: first and last node (exclusive) per axis that can have been touched.
         fall: m/s, downwards, that gravity adds.
 
@@ -114,7 +103,7 @@ def kick(nodes, grid, free, dt, gravity, settling, drift):
     """v_i += dt (f_i / m_i + g), then u_i += drift v_i; forces are zero again afterwards.
 
     Args:
-        nodes: `solver.Nodes`.
+        nodes: `solver.Nodes`, of which `free` are free.
         grid: `grid.Grid`.
         free: number of free nodes.
         dt: s, of the kick.

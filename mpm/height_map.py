@@ -27,12 +27,7 @@ def shape_of(box: Bin) -> tuple[int, int]:
 
 
 class HeightMap:
-    """Reads the heights of a bin.
-
-    Args:
-        box: the bin.
-        packed: [N, 3] particles of the flat bed, m.
-    """
+    """Reads the heights of a bin, whose flat bed has the particles `packed` [N, 3], m."""
 
     def __init__(self, box: Bin, packed: np.ndarray):
         self._shape, self._surface = shape_of(box), box.surface

@@ -40,15 +40,9 @@ ERRORS = ('soil_mm', 'force_relative_l2')
 
 
 class Work:
-    """A tool's folder, and what was done in it.
-
-    Args:
-        path: folder, made if absent.
-        asked: what the model is made of, JSON-compatible.
-
-    Raises:
-        ValueError: a folder of something else, or of another tool or other settings.
-    """
+    """A tool's folder, made if absent, and what was done in it; `asked` is what the model is made
+    of, JSON-compatible. ValueError: a folder of something else, or of another tool or other
+    settings."""
 
     def __init__(self, path: str, asked: dict):
         self.path, self._file = path, os.path.join(path, STATE)
@@ -69,20 +63,14 @@ class Work:
         self.save()
 
     def save(self) -> None:
-        """Writes the state."""
         files.write_json(self._file, self.state)
 
     def at(self, *names: str) -> str:
-        """The path of something in the folder."""
         return os.path.join(self.path, *names)
 
     def do(self, step: str, module: str, *arguments: str) -> None:
-        """Runs a command to its end; its time is kept, of a part as well.
-
-        Raises:
-            ValueError: it failed; it has said why.
-            SystemExit: Ctrl-C.
-        """
+        """Runs a command to its end; its time is kept, of a part as well. ValueError: it failed,
+        and has said why; SystemExit: Ctrl-C."""
         print(f'--- {step}: python -m {module} {" ".join(arguments)}', flush=True)
         started = time.monotonic()
         # It ends with this process, however that one ends: it would hold its folder.
@@ -102,11 +90,7 @@ class Work:
 
 
 def planned(tool: dict, count: int) -> tuple[scenes.Scene, str, list[str]]:
-    """The scene, the kinds and the ids of the runs of a tool, all checked.
-
-    Raises:
-        ValueError: a tool that does not fit into its bin.
-    """
+    """The scene, the kinds and the ids of the runs of a tool, all checked (ValueError)."""
     scene = scenes.SCENES['wheel' if 'radius' in tool else 'excavation']
     is_wide = scene.name == 'excavation' and tool['width'] > WIDE
     kinds = 'tools' if is_wide else KINDS[scene.name]
@@ -133,14 +117,12 @@ def is_taken(work: Work) -> bool:
 
 
 def duration(seconds: float) -> str:
-    """Hours and minutes."""
     minutes = round(seconds / 60)
     return f'{minutes // 60} h {minutes % 60} min' if minutes >= 60 else f'{minutes} min'
 
 
 def verdict(work: Work, kept: int, where: str) -> str:
-    """The last line: what was taken, its errors on the runs kept back and those of the other,
-    time."""
+    """The last line: what was taken, the errors of both on the runs kept back, time."""
     own, usual = (errors(work.at(folder))[0] for folder in ('judged', 'judged_as_it_is'))
     both = (own, f'shipped model as it is: {usual}')
     if not is_taken(work):
@@ -222,11 +204,8 @@ def main(values, arguments) -> None:
 
 
 def folder_of(model: str) -> str:
-    """The folder of a model that is named by its path, or by its name among those that ship.
-
-    Raises:
-        ValueError: there is none.
-    """
+    """The folder of a model that is named by its path, or by its name among those that ship
+    (ValueError)."""
     code = 'import sys; from learning_to_simulate import shipped as s; print(s.find(*sys.argv[1:]))'
     command_line = [sys.executable, '-c', code, model, 'models']
     done = subprocess.run(command_line, capture_output=True, text=True, check=False)

@@ -117,11 +117,8 @@ def settle(box: Bin, soil: Soil, seed: int) -> tuple[np.ndarray, dict]:
 
 
 def settled(box: Bin, soil: Soil, seed: int, folder: str) -> tuple[np.ndarray, dict]:
-    """Returns the packing kept in `folder`, which is made and kept there if it is absent.
-
-    Raises:
-        ValueError: if the one kept there has another seed, size or stiffness.
-    """
+    """Returns the packing kept in `folder`, which is made if absent; ValueError: the one kept there
+    has another seed, size or stiffness."""
     path = os.path.join(folder, PACKING_FILE)
     if not os.path.exists(path):
         particles, statistics = settle(box, soil, seed)

@@ -27,10 +27,8 @@ POINTS = 40  # of half a circle
 
 
 def outline(body, pose) -> np.ndarray:
-    """Returns the outline of a body seen from the side, closed, float64 [K, 2], m.
-
-    A polygon is drawn without the radius of its edges.
-    """
+    """Returns the outline of a body seen from the side, closed, float64 [K, 2], m; a polygon
+    without the radius of its edges."""
     if body.is_wheel:
         ring = _rim(body)
     elif len(body.outline) == 2:
@@ -101,11 +99,8 @@ def panels(rows: int, columns: int, size: tuple[float, float]):
 
 
 def draw(scene: scenes.Scene, cases, output_path: str, tool: dict | None = None) -> None:
-    """Draws all cases, perhaps with another tool, into one picture file.
-
-    Raises:
-        ValueError: see `catalogue.motion_of`.
-    """
+    """Draws all cases, perhaps with another tool, into one picture file; ValueError as
+    `catalogue.motion_of`."""
     if not cases:
         raise ValueError('nothing to draw: --cases, --operator_seeds, --path or --raw_path')
     drawn = [catalogue.in_bin(scene, catalogue.bin_name(scene, case)) for case in cases]
@@ -125,11 +120,8 @@ FARTHEST = 100.0  # mm of way, from where the colour does not change
 
 
 def first_of_each_kind(folder: str) -> list:
-    """Returns the ids of the first finished run of each kind in a folder of raw runs.
-
-    Raises:
-        ValueError: the folder holds none.
-    """
+    """Returns the ids of the first finished run of each kind in a folder; ValueError: it holds
+    none."""
     found: dict[str, int | str] = {}
     for entry in (raw_run.read_manifest(folder) or {'runs': []})['runs']:
         found.setdefault(entry['parameters']['kind'], entry['case'])
@@ -139,7 +131,6 @@ def first_of_each_kind(folder: str) -> list:
 
 
 def body_of(parameters: dict) -> bodies.Body:
-    """Returns the body of a run from its parameters."""
     if 'tool' in parameters:
         return bodies.tool_body(parameters['tool'])
     if 'diameter_m' in parameters:
@@ -148,11 +139,7 @@ def body_of(parameters: dict) -> bodies.Body:
 
 
 def draw_runs(folder: str, cases, output_path: str) -> None:
-    """Draws raw runs of a folder into one picture file, a row each.
-
-    Raises:
-        ValueError: the folder lacks one.
-    """
+    """Draws raw runs of a folder into one picture file, a row each; ValueError: it lacks one."""
     figure, grid = panels(len(cases), MOMENTS, (2.8, 1.9))
     for row, case in zip(grid, cases):
         run = raw_run.read_run(os.path.join(folder, raw_run.file_name(case)))

@@ -22,7 +22,6 @@ _COSTS = ('solver_cpu_s',)
 
 
 def file_name(case: int | str) -> str:
-    """Returns the name of the file of a run."""
     return f'run_{case:03d}.npz' if isinstance(case, int) else f'run_{case}.npz'
 
 
@@ -63,11 +62,8 @@ def content_digest(run: RawRun) -> str:
 
 
 def read_run(path: str) -> RawRun:
-    """Reads one run of this solver; `pca_tools.raw_runs` is the reader of runs of any origin.
-
-    Raises:
-        ValueError: if the file is not a raw run.
-    """
+    """Reads one run of this solver (`pca_tools.raw_runs` reads those of any origin); ValueError: it
+    is none."""
     arrays = read_npz(path)
     try:
         return RawRun(parameters=json.loads(str(arrays.pop('parameters'))), **arrays)
@@ -87,11 +83,7 @@ def write_manifest(folder: str, scene: scenes.Scene, runs: list[dict]) -> None:
 
 
 def read_manifest(folder: str) -> dict | None:
-    """Returns the manifest of a folder, or None if it has none.
-
-    Raises:
-        ValueError: if the manifest is not readable as one.
-    """
+    """Returns the manifest of a folder, None if it has none; ValueError: it is not one."""
     path = os.path.join(folder, MANIFEST_NAME)
     if not os.path.exists(path):
         return None
@@ -101,16 +93,8 @@ def read_manifest(folder: str) -> dict | None:
 
 
 def finished_runs(folder: str, scene: scenes.Scene, settings: dict) -> list[dict]:
-    """Returns the manifest entries of the runs that are complete on disk.
-
-    Args:
-        folder: of raw runs; may be empty.
-        scene: that the folder must belong to.
-        settings: parameters that every run of the folder must share.
-
-    Raises:
-        ValueError: if the folder holds another scene, or runs with other settings.
-    """
+    """Returns the manifest entries of the runs that are complete on disk; ValueError if the folder
+    holds another scene, or runs whose parameters differ from `settings`, which all share."""
     manifest = read_manifest(folder)
     if manifest is None:
         return []

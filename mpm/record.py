@@ -76,11 +76,8 @@ ALL = Selection()
 
 
 def runs_of(part: str, selection: Selection = ALL) -> tuple:
-    """Returns the ids of the selected runs of a part, in the order in which they are made.
-
-    Raises:
-        ValueError: if there is no such part or split.
-    """
+    """Returns the ids of the selected runs of a part, in the order in which they are made;
+    ValueError if there is no such part or split."""
     if part not in PARTS:
         raise ValueError(f'unknown part {part!r}; there are {", ".join(PARTS)}')
     if unknown := set(selection.splits) - set(splits.SPLITS):
@@ -97,12 +94,8 @@ def runs_of(part: str, selection: Selection = ALL) -> tuple:
 
 
 def held_by(datasets) -> dict[str, set[str]]:
-    """Returns scene -> ids of the runs that datasets of the converter hold.
-
-    Raises:
-        FileNotFoundError: a folder without `metadata.json`.
-        ValueError: one that does not name its scene and cases.
-    """
+    """Returns scene -> ids of the runs that datasets of the converter hold; FileNotFoundError,
+    ValueError for a folder without `metadata.json` or one that names no scene and cases."""
     held: dict[str, set[str]] = {}
     for folder in datasets:
         path = os.path.join(folder, 'metadata.json')
@@ -150,11 +143,8 @@ def make(
 ) -> dict[str, dict]:
     """Makes the selected runs of the parts that are not there yet; returns scene -> run -> digest.
 
-    A part whose runs fail does not keep the next from being made.
-
-    Raises:
-        ValueError: an unknown part or split, or runs that failed; see `batch.generate`.
-        OSError: see `batch.generate`.
+    A part whose runs fail does not keep the next from being made; in the end they are a ValueError,
+    as an unknown part or split is. Others as `batch.generate`.
     """
     failures = []
     for part, cases in {part: runs_of(part, selection) for part in parts}.items():
@@ -199,7 +189,7 @@ def define_flags() -> None:
 
 
 def main(values) -> int:
-    """Runs the command; returns 1 if runs differ from those that are expected."""
+    """Returns 1 if runs differ from those that are expected."""
     selection = Selection(values.limit, held_by(values.held), values.splits)
     if values.list:
         print(table(values.parts, selection))

@@ -18,52 +18,36 @@ from mpm.simulation import Settings, Simulation
 
 @dataclass(frozen=True)
 class RawRun:
-    """The arrays of one run, as written to disk.
+    """The arrays of one run, as written to disk: float32 with T frames first."""
 
-    Attributes:
-        positions: float32 [T, N, 3], m.
-        rigid_positions: float32 [T, R, 3], m.
-        force: float32 [T, 3], N, on the body by the soil, mean over the frame that ends at t.
-        parameters: what was run, JSON-compatible.
-        torque: float32 [T, 3], N m, about the body's reference point, as the force.
-        pose: float32 [T, 7], position (m) of the reference point and unit quaternion (w, x, y, z)
-            that turns the upright body.
-        step_context: float32 [T, C], values of the scene's `context_names` at each frame (the load
-            may vary); None if it has none.
-        target: float32 [T, 3], x, y (m) and angle (rad) that the actuators of a free body pull
-            towards; None where nothing is free.
-        external: float32 [T, 3], force (N, N, N m) on x, y and angle of a free body beside soil and
-            actuators, at the end of the frame; None where nothing is free.
-        subframe_force: float32 [T, 4, 3], N, as the force, of the quarters of the frame, of a free
-            body; None where nothing is free.
-        heights: float32 [T, nx, nz], m, of the soil over the bin, see `height_map`; None in runs of
-            other solvers.
-    """
-
-    positions: np.ndarray
-    rigid_positions: np.ndarray
+    positions: np.ndarray  # [T, N, 3], m
+    rigid_positions: np.ndarray  # [T, R, 3], m
+    # force, torque: [T, 3], N and N m about the body's reference point, on the body by the soil,
+    # mean over the frame that ends at t
     force: np.ndarray
-    parameters: dict
+    parameters: dict  # what was run, JSON-compatible
     torque: np.ndarray
+    # [T, 7], position (m) of the reference point and unit quaternion (w, x, y, z) that turns the
+    # upright body
     pose: np.ndarray
+    # [T, C], values of the scene's `context_names` at each frame (the load may vary); None if it
+    # has none
     step_context: np.ndarray | None = None
+    # target, external, subframe_force: of a free body alone: [T, 3], x, y (m) and angle (rad) that
+    # its actuators pull towards; [T, 3], force (N, N, N m) on these three beside soil and
+    # actuators, at the end of the frame; [T, 4, 3], N, as `force`, of the quarters
     target: np.ndarray | None = None
     external: np.ndarray | None = None
     subframe_force: np.ndarray | None = None
+    # [T, nx, nz], m, see `height_map`; None in runs of other solvers
     heights: np.ndarray | None = None
 
 
 def prepared(
-    scene: scenes.Scene,
-    case: int | str | Recording,
-    settings: Settings,
-    tool: dict | None = None,
+    scene: scenes.Scene, case: int | str | Recording, settings: Settings, tool: dict | None = None
 ) -> Motion:
-    """Returns the motion of a run with what the settings say of its soil and tool, checked.
-
-    Raises:
-        ValueError: see `catalogue.motion_of` and `checks.check_drive`.
-    """
+    """Returns the motion of a run with what the settings say of its soil and tool, checked
+    (ValueError: see `catalogue.motion_of` and `checks.check_drive`)."""
     motion = motion_of(scene, case, tool)
     own = {name: getattr(settings, name) for name in motion.ground._fields}
     ground = motion.ground._replace(**{k: v for k, v in own.items() if v is not None})
@@ -80,7 +64,6 @@ def prepared(
 
 
 def soil_of(motion: Motion, settings: Settings) -> Soil:
-    """Returns the soil of a run."""
     friction = friction_coefficient(motion.ground.friction_angle_deg)
     return make_soil(settings.youngs_modulus, friction, motion.ground.bulk_density)
 
@@ -88,11 +71,7 @@ def soil_of(motion: Motion, settings: Settings) -> Soil:
 def make_simulation(
     scene: scenes.Scene, motion: Motion, particles: np.ndarray, settings: Settings
 ) -> Simulation:
-    """Returns the simulation of a motion (`prepared`) on a settled packing, float64 [N, COLUMNS].
-
-    Raises:
-        ValueError: see `Simulation`.
-    """
+    """Returns the simulation of a motion (`prepared`) on a packing, float64 [N, COLUMNS]."""
     soil = soil_of(motion, settings)
     return Simulation(scene.bin, motion.drive, soil, particles, settings, motion.ground.gravity)
 
@@ -105,18 +84,12 @@ def run_case(
     on_frame: Callable[[int], None] = lambda frame: None,
     tool: dict | None = None,
 ) -> RawRun:
-    """Simulates one run.
+    """Simulates one run: T = 321 frames at 60 Hz (more for a longer motion), the first before
+    driving.
 
-    Args:
-        scene: the scene.
-        case: what to run, see `catalogue.motion_of`.
-        packed: the settled particles and their statistics (`packing.settle`).
-        settings: stiffness, seed, soil.
-        on_frame: called with the number of simulated frames, those of a lead-in included.
-        tool: see `catalogue.motion_of`.
-
-    Returns:
-        The run: T = 321 frames at 60 Hz (more for a longer motion), the first before driving.
+    `case` and `tool` are those of `catalogue.motion_of`, `packed` the settled particles and their
+    statistics (`packing.settle`); `on_frame` is called with the number of simulated frames, those
+    of a lead-in included.
 
     Raises:
         ValueError: a body that sinks to the floor; see also `prepared` and `Simulation`.
@@ -175,7 +148,6 @@ def run_case(
 
 
 def _seen(scene, motion, simulation, heights, force, torque) -> dict:
-    """What a run records of the frame that ends now; see `RawRun`."""
     machine, now = motion.drive.machine, np.array([simulation.time])
     particles = simulation.positions()
     seen = {
@@ -197,7 +169,6 @@ def _seen(scene, motion, simulation, heights, force, torque) -> dict:
 
 
 def _refuse_sunk(simulation: Simulation) -> None:
-    """Raises if a free body has sunk to the floor of the bin, or has left it."""
     if not simulation.free.mass.any():
         return
     body, (x, y, theta, _) = simulation.drive.body, simulation.pose

@@ -26,25 +26,15 @@ EARTH_GRAVITY = 9.81
 
 @dataclass(frozen=True)
 class Bin:
-    """The soil's box and how it is sampled.
+    """The soil's box and how it is sampled."""
 
-    Attributes:
-        size: length, depth of soil, width in m.
-        dx: length of a cell in the plane of travel, m; the length is a whole number of them.
-        dz: length of a cell across, m; the width is a whole number of them.
-        lattice: soil particles per axis of the initial packing.
-        keep_every: every how many particles are written.
-        height: height of the grid above the floor, m.
-        bounds: [low, high] per axis in m; everything stays inside.
-    """
-
-    size: tuple
-    dx: float
-    dz: float
-    lattice: tuple
-    keep_every: int
-    height: float
-    bounds: tuple
+    size: tuple  # length, depth of soil, width in m
+    dx: float  # length of a cell in the plane of travel, m; the length is a whole number of them
+    dz: float  # length of a cell across, m; the width is a whole number of them
+    lattice: tuple  # soil particles per axis of the initial packing
+    keep_every: int  # every how many particles are written
+    height: float  # height of the grid above the floor, m
+    bounds: tuple  # [low, high] per axis in m; everything stays inside
 
     @property
     def surface(self) -> float:
@@ -59,39 +49,25 @@ class Bin:
 
 @dataclass(frozen=True)
 class Scene:
-    """One scene: the bin, the table of cases, what moves.
+    """One scene: the bin, the table of cases, what moves."""
 
-    Attributes:
-        name: 'excavation' or 'wheel'.
-        rigid_motion: 'prescribed', or 'driven' (rotation and travel given, height free).
-        levels: parameter name -> its values, outermost loop first.
-        context_names: parameters that the dataset gives to the network.
-        published: cases whose records were published.
-        demo_case: reserved for the demonstration; never in the mini set.
-        bin: the soil.
-        other_bins: name -> bin of kinds of runs that do not fit into that one.
-    """
-
-    name: str
-    rigid_motion: str
-    levels: dict
-    context_names: tuple
-    published: tuple
-    demo_case: int
-    bin: Bin = field(repr=False, default=None)
+    name: str  # 'excavation' or 'wheel'
+    rigid_motion: str  # 'prescribed', or 'driven' (rotation and travel given, height free)
+    levels: dict  # parameter name -> its values, outermost loop first
+    context_names: tuple  # parameters that the dataset gives to the network
+    published: tuple  # cases whose records were published
+    demo_case: int  # reserved for the demonstration; never in the mini set
+    bin: Bin = field(repr=False, default=None)  # the soil
+    # Name -> bin of kinds of runs that do not fit into that one
     other_bins: dict = field(repr=False, default_factory=dict)
 
     @property
     def case_count(self) -> int:
-        """Number of cases in the whole grid."""
+        """Of the whole grid."""
         return math.prod(len(values) for values in self.levels.values())
 
     def parameters(self, case: int) -> dict:
-        """Returns the parameters of a case, by name.
-
-        Raises:
-            ValueError: if there is no such case.
-        """
+        """Returns the parameters of a case, by name; ValueError if there is no such case."""
         if not 1 <= case <= self.case_count:
             raise ValueError(f'{self.name} has cases 1 to {self.case_count}, got {case}')
         index = np.unravel_index(case - 1, [len(v) for v in self.levels.values()])
@@ -106,10 +82,8 @@ def sampled(
     size: tuple, dx: float, dz: float, keep_every: int, height: float, bounds: tuple,
     per_cell: float = PER_CELL,
 ) -> Bin:  # fmt: skip
-    """Returns a bin whose cells hold `per_cell` particles each; for the others see `Bin`.
-
-    Their spacing along an axis is in proportion to the cell's side.
-    """
+    """Returns a bin whose cells hold `per_cell` particles each, their spacing along an axis in
+    proportion to the cell's side."""
     share = per_cell ** (-1.0 / 3.0)
     lattice = tuple(round(side / (share * cell)) for side, cell in zip(size, (dx, dx, dz)))
     return Bin(size, dx, dz, lattice, keep_every, height, bounds)
@@ -158,7 +132,7 @@ WHEEL = Scene(
         7,
         0.2,
         ((0.0, 0.7), (0.0, 0.6), (0.0, 0.4)),
-    ),
+    ),  # fmt: skip
 )
 
 SCENES = {scene.name: scene for scene in (EXCAVATION, WHEEL)}
@@ -166,17 +140,6 @@ SCENES = {scene.name: scene for scene in (EXCAVATION, WHEEL)}
 EXCAVATION_FRICTION_DEG = math.degrees(math.atan(0.76))  # the published mu_s
 PACKING_MU_S = 0.76  # one packing for all friction angles
 SMALL_WHEEL_LOAD_DIVISOR = 9.0
-
-
-def scene_named(name: str) -> Scene:
-    """Returns the scene of that name.
-
-    Raises:
-        ValueError: if there is none.
-    """
-    if name not in SCENES:
-        raise ValueError(f'unknown scene {name!r}; there are {sorted(SCENES)}')
-    return SCENES[name]
 
 
 def wheel_load(parameters: dict) -> float:
@@ -187,17 +150,12 @@ def wheel_load(parameters: dict) -> float:
 
 
 class Ground(NamedTuple):
-    """What may differ between the beds of runs.
+    """What may differ between the beds of runs."""
 
-    Attributes:
-        friction_angle_deg: phi; mu_s is tan(phi) (`constitutive.friction_coefficient`).
-        bulk_density: kg/m3, as packed.
-        gravity: m/s2.
-    """
-
+    # phi; mu_s is tan(phi) (`constitutive.friction_coefficient`)
     friction_angle_deg: float = EXCAVATION_FRICTION_DEG
-    bulk_density: float = PACKED_DENSITY
-    gravity: float = EARTH_GRAVITY
+    bulk_density: float = PACKED_DENSITY  # kg/m3, as packed
+    gravity: float = EARTH_GRAVITY  # m/s2
 
 
 def ground_of(scene: Scene, parameters: dict) -> Ground:

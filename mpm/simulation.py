@@ -19,29 +19,20 @@ STIFFEST = 0.3  # of an actuator: time step times its frequency, and times its r
 
 @dataclass(frozen=True)
 class Settings:
-    """What may be set for all runs of a folder.
+    """What may be set for all runs of a folder."""
 
-    Attributes:
-        youngs_modulus: Pa.
-        seed: of the packing's jitter.
-        friction_angle_deg, bulk_density, gravity: of the soil (deg, kg/m3, m/s2), in place of what
-            a run would have; None: that.
-        tool_friction: Coulomb coefficient between tool and soil, likewise.
-        exchange: s, between two exchanges of particles and grid.
-        steps: per exchange; 0: from the CFL limit.
-        sleep: whether soil that rests is left out (`sleeping`).
-        single: whether the steps between exchanges are taken in float32; particles are float64.
-    """
-
-    youngs_modulus: float = 1.5e6
-    seed: int = 0
+    youngs_modulus: float = 1.5e6  # Pa
+    seed: int = 0  # of the packing's jitter
+    # friction_angle_deg, bulk_density, gravity: of the soil (deg, kg/m3, m/s2), in place of what a
+    # run would have; None: that
     friction_angle_deg: float | None = None
     bulk_density: float | None = None
     gravity: float | None = None
-    tool_friction: float | None = None
-    exchange: float = EXCHANGE
-    steps: int = 0
-    sleep: bool = True
+    tool_friction: float | None = None  # Coulomb coefficient between tool and soil, likewise
+    exchange: float = EXCHANGE  # s, between two exchanges of particles and grid
+    steps: int = 0  # per exchange; 0: from the CFL limit
+    sleep: bool = True  # whether soil that rests is left out (`sleeping`)
+    # Whether the steps between exchanges are taken in float32; particles are float64
     single: bool = True
 
     def __post_init__(self):
@@ -95,10 +86,8 @@ class Simulation:
     ):
         """Puts the body in its first pose; one that has a `rest` sinks in until it rests.
 
-        `particles` is the settled packing, float64 [N, COLUMNS]; gravity is in m/s2.
-
-        Raises:
-            ValueError: a step that is not stable, or what `frame` raises.
+        `particles` is the settled packing, float64 [N, COLUMNS]; gravity is in m/s2. ValueError: a
+        step that is not stable, or what `frame` raises.
         """
         self.box, self.soil, self.drive, self.gravity = box, soil, drive, gravity
         self.grid = make_grid(box)
@@ -152,8 +141,7 @@ class Simulation:
             reference point, both means over the frame and from the same sum of impulses.
 
         Raises:
-            ValueError: if a particle leaves the grid or moves too fast for the step; if the body
-                does (`stability.UnstableTimeStepError`).
+            ValueError: a particle leaves the grid, or it or the body moves too fast for the step.
         """
         mean = self._advance(1.0)
         self._frame += 1
@@ -197,7 +185,6 @@ class Simulation:
         return loads.mean(axis=0)
 
     def _wake(self) -> None:
-        """Chooses the particles that the next frames step."""
         self._put_back()
         times = self.time + np.arange(PERIOD + 1) / FRAME_RATE
         path = self.drive.pose(times)
@@ -247,12 +234,8 @@ class Simulation:
         return self._particles[:, :3].copy()
 
     def penetration(self) -> dict:
-        """Returns how deep soil lies in the body now.
-
-        Returns:
-            `deepest_cells`: of any particle below the surface, in cells (0: none is inside);
-            `inside`: number of particles deeper than a quarter of a cell.
-        """
+        """Returns `deepest_cells`, how deep any particle is below the body's surface, in cells (0:
+        none is inside), and `inside`, the number of particles deeper than a quarter of a cell."""
         # What sleeps does not move, and is far from the body.
         rows = self._particles if self._block is None else self._block.particles
         depth = -bodies.signed_distances(self.drive.body, self.pose, rows[:, :3])

@@ -36,14 +36,8 @@ class Sleep:
         self._period = 0
 
     def awake(self, positions: np.ndarray, body: Body, path: np.ndarray, period: float):
-        """Returns bool [N]: which particles to step in the coming period.
-
-        Args:
-            positions: float64 [N, 3], m.
-            body: the rigid body.
-            path: float64 [T, 4], its poses in the coming period.
-            period: s, between two calls.
-        """
+        """Returns bool [N]: which particles at `positions` [N, 3] (m) to step in the coming period
+        (s), in which the body has the poses `path` [T, 4]."""
         if not self.is_on:
             return np.ones(len(positions), dtype=bool)
         self._period += 1

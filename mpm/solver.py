@@ -47,82 +47,58 @@ FREE_PUSH = 50.0  # m/s2, by which a free body may be pushed during a call of `S
 class Block(NamedTuple):
     """The particles that are stepped, and what kernels keep of them during an interval.
 
-    Attributes:
-        particles: float64 [n, COLUMNS], see `columns`.
-        base: uint64 [n], index of the first of a particle's 27 nodes.
-        weights: [16 n], see `transfers.WEIGHTS`.
-        elastic: deviatoric stress (Pa; xx yy zz xy yz zx) and strain of volume, laid out as
-            `columns.ELASTIC` says; `particles` gets them back at the end of an interval.
-        gradient, stress: [9 CHUNK] and [6 CHUNK], row by row, work space.
-
     All but the first two are float32 or float64, as the nodes are.
     """
 
-    particles: np.ndarray
-    base: np.ndarray
-    weights: np.ndarray
+    particles: np.ndarray  # float64 [n, COLUMNS], see `columns`
+    base: np.ndarray  # uint64 [n], index of the first of a particle's 27 nodes
+    weights: np.ndarray  # [16 n], see `transfers.WEIGHTS`
+    # Deviatoric stress (Pa; xx yy zz xy yz zx) and strain of volume, laid out as `columns.ELASTIC`
+    # says; `particles` gets them back at the end of an interval
     elastic: np.ndarray
-    gradient: np.ndarray
+    gradient: np.ndarray  # gradient, stress: [9 CHUNK] and [6 CHUNK], row by row, work space
     stress: np.ndarray
 
 
 class Nodes(NamedTuple):
-    """What nodes carry: four numbers each, three components and one more.
+    """What nodes carry: four numbers each, three components and one more."""
 
-    Attributes:
-        velocity: [4 nodes]: m/s and 1 / mass (1/kg); momentum and mass while scattering.
-        force: [4 nodes], N.
-        displacement: [4 nodes], m since the last exchange.
-        asleep: bool [nodes], touched by soil that is not stepped: they do not move.
-        free, touched: uint64 [nodes], lists of indices into the arrays above.
-    """
-
-    velocity: np.ndarray
-    force: np.ndarray
-    displacement: np.ndarray
-    asleep: np.ndarray
-    free: np.ndarray
+    velocity: np.ndarray  # [4 nodes]: m/s and 1 / mass (1/kg); momentum and mass while scattering
+    force: np.ndarray  # [4 nodes], N
+    displacement: np.ndarray  # [4 nodes], m since the last exchange
+    asleep: np.ndarray  # bool [nodes], touched by soil that is not stepped: they do not move
+    free: np.ndarray  # free, touched: uint64 [nodes], lists of indices into the arrays above
     touched: np.ndarray
 
 
 class Free(NamedTuple):
-    """The coordinates x, y and angle of a body that are free, and what drives them: eq. (7).
+    """The coordinates x, y and angle of a body that are free, and what drives them: eq. (7)."""
 
-    Attributes:
-        state: float64 [2, 3], coordinates (m, m, rad) and their rates; `advance` works in place.
-        mass: float64 [3]: mass (kg) for x and y, moment of inertia about the reference point
-            (kg m2) for the angle; 0: the coordinate follows the path.
-        stiffness, damping: float64 [3], k (N/m, N m/rad) and c (N s/m, N m s/rad) of the actuator
-            that pulls towards the path.
-    """
-
+    # float64 [2, 3], coordinates (m, m, rad) and their rates; `advance` works in place
     state: np.ndarray
+    # float64 [3]: mass (kg) for x and y, moment of inertia about the reference point (kg m2) for
+    # the angle; 0: the coordinate follows the path
     mass: np.ndarray
+    # stiffness, damping: float64 [3], k (N/m, N m/rad) and c (N s/m, N m s/rad) of the actuator
+    # that pulls towards the path
     stiffness: np.ndarray
     damping: np.ndarray
 
 
 class Motion(NamedTuple):
-    """A body and how it moves during a call of `advance`.
+    """A body and how it moves during a call of `advance`."""
 
-    Attributes:
-        body: `bodies.Body`.
-        law: `contact.ContactLaw`.
-        path: float64 [steps + 1, 4]: x, y (m) of the reference point, the angle (rad) and z (m) at
-            the ends of all steps; of free coordinates the actuator's target.
-        external: float64 [steps + 1, 3]: force (N, N, N m) on free coordinates, at the same times.
-        free: `Free`.
-        near: int64, rows of the block among which contact is looked for.
-        loads: float64 [steps, 6], filled: mean force (N) of the soil on the body in each step, and
-            torque (N m) about its reference point.
-    """
-
-    body: Body
-    law: ContactLaw
+    body: Body  # `bodies.Body`
+    law: ContactLaw  # `contact.ContactLaw`
+    # float64 [steps + 1, 4]: x, y (m) of the reference point, the angle (rad) and z (m) at the ends
+    # of all steps; of free coordinates the actuator's target
     path: np.ndarray
+    # float64 [steps + 1, 3]: force (N, N, N m) on free coordinates, at the same times
     external: np.ndarray
-    free: Free
-    near: np.ndarray
+    free: Free  # `Free`
+    near: np.ndarray  # int64, rows of the block among which contact is looked for
+    # float64 [steps, 6], filled: mean force (N) of the soil on the body in each step, and torque (N
+    # m) about its reference point
     loads: np.ndarray
 
 
@@ -267,11 +243,8 @@ class Solver:
         dtype: type = np.float64,
         exchange: float = EXCHANGE,
     ):
-        """Prepares the work space.
-
-        `steps` of 0: as few as are stable; `dtype`, float32 or float64, is that of what nodes carry
-        and of stresses between exchanges.
-        """
+        """Prepares the work space; `steps` of 0: as few as are stable; `dtype` is float32 or
+        float64."""
         self.grid, self.soil, self.volume, self.exchange = grid, soil, volume, exchange
         self.steps = steps or steps_in(exchange, soil, min(grid.dx, grid.dz))
         self.dt = exchange / self.steps

@@ -36,11 +36,7 @@ def split_of(scene: scenes.Scene, case: int | str) -> str | None:
     """Returns 'train', 'valid' or 'test'; None for what the data of record does not hold.
 
     Seeds: of the n runs of a kind every (n // 10)th is test, every (n // 5)th valid, until there
-    are 10 and 5 of them. Grids: see `grid_splits`.
-
-    Args:
-        scene: the scene.
-        case: the number of a case of the grid, or the id of a seed, or any other id.
+    are 10 and 5 of them. Cases of the grid: see `grid_splits`.
     """
     if isinstance(case, int):
         return grid_splits(scene.name).get(case)

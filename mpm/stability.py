@@ -37,19 +37,13 @@ def damping_time(soil: Soil, dx: float) -> float:
 
 
 def max_time_step(soil: Soil, dx: float) -> float:
-    """Returns the largest stable time step in s: the elastic wave crosses at most `CFL` cells.
-
-    dx (m) is the shortest side of a cell.
-    """
+    """Returns the largest stable step (s): the elastic wave crosses at most `CFL` of the shortest
+    side dx (m) of a cell."""
     return CFL * dx / wave_speed(soil)
 
 
 def check_time_step(dt: float, soil: Soil, dx: float) -> None:
-    """Refuses a step that the explicit scheme cannot take.
-
-    Raises:
-        UnstableTimeStepError: a ValueError that names the step, the limit and the CFL number.
-    """
+    """Refuses a step that the explicit scheme cannot take, as `UnstableTimeStepError`."""
     limit = max_time_step(soil, dx)
     if not 0.0 < dt <= limit * (1.0 + 1e-12):
         raise UnstableTimeStepError(
@@ -60,7 +54,8 @@ def check_time_step(dt: float, soil: Soil, dx: float) -> None:
 
 
 def check_body_motion(path: np.ndarray, reach: float, dt: float, dx: float, start: float) -> None:
-    """Refuses a body that jumps over cells: soil could pass through it between two steps.
+    """Refuses, as `UnstableTimeStepError`, a body that jumps over cells: soil could pass through it
+    between two steps.
 
     Args:
         path: float64 [steps + 1, 3 or 4], its poses at the steps' ends, x and y in m (constant
@@ -68,9 +63,6 @@ def check_body_motion(path: np.ndarray, reach: float, dt: float, dx: float, star
         reach: largest distance of its outline from the reference point, m.
         dt, dx: time step (s) and cell size (m).
         start: time of the first pose, s, for the message.
-
-    Raises:
-        UnstableTimeStepError: with the time, the speed and its limit.
     """
     change = np.diff(path, axis=0)
     travel = np.hypot(change[:, 0], change[:, 1]) + reach * np.abs(change[:, 2])

@@ -204,37 +204,25 @@ def particles_to_grid(block, velocity, grid, half_step, mass, volume, bulk_modul
         block.base[n] = base
         keep_weights(block.weights, n, place)
         keep_elastic(block, n)
-        # The columns of m C - dt/2 V sigma D^-1, per cell.
         p = pressure_of(ratio - 1.0, bulk_modulus)
         sp, sz = plane * ratio, across * ratio
         xx, yy, zz = q[n, S] - p, q[n, S + 1] - p, q[n, S + 2] - p
         xy, yz, zx = q[n, S + 3], q[n, S + 4], q[n, S + 5]
         affine = (
             vectors.make(velocity, mass * q[n, V], mass * q[n, V + 1], mass * q[n, V + 2], mass),
-            vectors.make(
-                velocity,
-                sp * xx + mass_x * q[n, C],
-                sp * xy + mass_x * q[n, C + 3],
-                sp * zx + mass_x * q[n, C + 6],
-                0.0,
-            ),
-            vectors.make(
-                velocity,
-                sp * xy + mass_x * q[n, C + 1],
-                sp * yy + mass_x * q[n, C + 4],
-                sp * yz + mass_x * q[n, C + 7],
-                0.0,
-            ),
-            vectors.make(
-                velocity,
-                sz * zx + mass_z * q[n, C + 2],
-                sz * yz + mass_z * q[n, C + 5],
-                sz * zz + mass_z * q[n, C + 8],
-                0.0,
-            ),
+            _column(velocity, q, n, C, mass_x, sp * xx, sp * xy, sp * zx),
+            _column(velocity, q, n, C + 1, mass_x, sp * xy, sp * yy, sp * yz),
+            _column(velocity, q, n, C + 2, mass_z, sz * zx, sz * yz, sz * zz),
         )
         scatter(velocity, base, strides, block.weights, index(WEIGHTS * n), affine)
     return i0, i1, j0, j1, k0, k1
+
+
+@numba.njit(inline='always', **JIT)
+def _column(velocity, q, n, at, mass, x, y, z):
+    """A column of m C - dt/2 V sigma D^-1, per cell."""
+    rate = q[n, at], q[n, at + 3], q[n, at + 6]
+    return vectors.make(velocity, x + mass * rate[0], y + mass * rate[1], z + mass * rate[2], 0.0)
 
 
 @numba.njit(inline='always', **JIT)

@@ -28,21 +28,13 @@ TURNS = {'excavation': operator_paths.TURNS, 'wheel': wheel_drives.TURNS}
 
 @dataclass(frozen=True)
 class Motion:
-    """How the tool moves in one run, and in what soil.
+    """How the tool moves in one run, and in what soil."""
 
-    Attributes:
-        case: the run's id.
-        drive: the body and its motion.
-        parameters: what was drawn or chosen, JSON-compatible; `kind` is among them.
-        frames: driven frames that are recorded.
-        ground: friction, density, gravity.
-    """
-
-    case: int | str
-    drive: Drive
-    parameters: dict
-    frames: int
-    ground: scenes.Ground
+    case: int | str  # the run's id
+    drive: Drive  # the body and its motion
+    parameters: dict  # what was drawn or chosen, JSON-compatible; `kind` is among them
+    frames: int  # driven frames that are recorded
+    ground: scenes.Ground  # friction, density, gravity
 
     @property
     def simulated_frames(self) -> int:
@@ -65,12 +57,8 @@ def in_bin(scene: scenes.Scene, name: str | None) -> scenes.Scene:
 
 
 def motion_of(scene: scenes.Scene, case: int | str | Recording, tool: dict | None = None) -> Motion:
-    """Returns the motion of a run in the bin of the scene (see `in_bin`).
-
-    Args:
-        scene: the scene.
-        case: what to run.
-        tool: `bodies.check_tool`, in place of what the run would have; None: that.
+    """Returns the motion of a run in the bin of the scene (see `in_bin`), perhaps with another tool
+    (`bodies.check_tool`).
 
     Raises:
         ValueError: there is no such case, kind or seed, or the file is not a path; a wheel where a
@@ -103,16 +91,11 @@ def motion_of(scene: scenes.Scene, case: int | str | Recording, tool: dict | Non
 
 
 def seed_case(kind: str, seed: int) -> str:
-    """Returns the id of the path of a kind and a seed."""
     return f'{kind}_{seed:04d}'
 
 
 def parse(scene: scenes.Scene, case: str) -> tuple[str, int]:
-    """Returns kind and seed of an id made by `seed_case`.
-
-    Raises:
-        ValueError: if it is none of the scene.
-    """
+    """Returns kind and seed of an id made by `seed_case`; ValueError if the scene has none such."""
     kind, _, seed = case.rpartition('_')
     if kind not in KINDS[scene.name] or not seed.isdecimal():
         raise ValueError(
@@ -123,16 +106,10 @@ def parse(scene: scenes.Scene, case: str) -> tuple[str, int]:
 
 
 def select_seeds(scene: scenes.Scene, seeds: str, kinds: str | None = None) -> tuple:
-    """Returns the ids of the paths of some seeds.
+    """Returns the ids of the paths of seeds, numbers and ranges such as '3,9000-9009'.
 
-    Args:
-        scene: the scene.
-        seeds: numbers and ranges separated by commas, such as '3,9000-9009'.
-        kinds: kinds separated by commas, None: those of `TURNS`. A seed's kind is
-            kinds[seed % len(kinds)].
-
-    Raises:
-        ValueError: an unknown kind, or seeds that are no numbers or named twice.
+    A seed's kind is kinds[seed % len(kinds)], of kinds separated by commas, by default `TURNS`.
+    ValueError: an unknown kind, or seeds that are no numbers or named twice.
     """
     chosen = TURNS[scene.name] if kinds is None else tuple(k.strip() for k in kinds.split(','))
     unknown = [kind for kind in chosen if kind not in KINDS[scene.name]]
@@ -155,15 +132,9 @@ def select_seeds(scene: scenes.Scene, seeds: str, kinds: str | None = None) -> t
 
 
 def select_runs(scene: scenes.Scene, names: list[str]) -> tuple:
-    """Returns the ids of runs that a person names, cases of the grid first.
-
-    Args:
-        scene: the scene.
-        names: numbers of cases and ids of seeds; 'mini' or 'full' alone: the grid in part or whole.
-
-    Raises:
-        ValueError: one that does not exist, or that is named twice; none.
-    """
+    """Returns the ids of runs that a person names, cases of the grid first: numbers of cases and
+    ids of seeds; 'mini' or 'full' alone are the grid in part or whole. ValueError: one that does
+    not exist, or that is named twice; none."""
     if names == ['mini']:
         return scenes.mini_cases(scene)
     if names == ['full']:

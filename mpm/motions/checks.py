@@ -20,27 +20,18 @@ _FRAMES = FRAMES - 1
 
 
 def check_drive(drive: Drive, box: Bin, frames: int, steps_per_frame: int) -> None:
-    """Refuses a motion that the bin or the time step does not allow.
+    """Refuses a motion of `frames` driven frames that the bin or the time step does not allow.
 
-    The body's lowest point stays a cell above the floor. What of it is below the rim stays clear
-    of the four walls by `WALL_GAP` (a leaning blade's top may stand over the wall behind it). It
-    crosses at most half a cell a step, tip and rim included.
-
-    Args:
-        drive: the body and its motion.
-        box: the bin.
-        frames: driven frames of the run, the lead-in left out.
-        steps_per_frame: time steps a frame.
-
-    Raises:
-        ValueError: with time, value and limit.
+    The body's lowest point stays a cell above the floor. What of it is below the rim stays clear of
+    the four walls by `WALL_GAP` (a leaning blade's top may stand over the wall behind it). It
+    crosses at most half a cell a step, tip and rim included. ValueError: with time, value and
+    limit.
     """
     count = (frames + drive.lead_in) * steps_per_frame
     dt = 1.0 / FRAME_RATE / steps_per_frame
     times = np.arange(count + 1) * dt
     body, machine, poses = drive.body, drive.machine, np.asarray(drive.pose(times), np.float64)
-    if poses.shape != (len(times), 4):
-        raise ValueError(f'poses are {poses.shape}, expected (times, 4) = {(len(times), 4)}')
+
     _refuse(times, ~np.isfinite(poses).all(axis=1), 'the pose is {}', poses)
     if body.is_wheel:
         if machine is not None:
@@ -95,16 +86,10 @@ def first_that_fits(
     what: str,
     is_fine: Callable[[Drive, dict], bool] = lambda drive, drawn: True,
 ) -> tuple[Drive, dict]:
-    """Returns the first of `TRIES` drawn motions that a bin has room for.
+    """Returns the first of `TRIES` drawn motions that the bin has room for, and that `is_fine`.
 
-    Args:
-        draw: draws a motion and its parameters; `frames` among them if they are not as usual.
-        box: the bin.
-        what: is drawn, for the message.
-        is_fine: whether a motion with room is what it is drawn for.
-
-    Raises:
-        ValueError: if there is none.
+    `draw` gives a motion and its parameters, `frames` among them if they are not as usual.
+    ValueError, with `what` is drawn: there is none.
     """
     for _ in range(TRIES):
         drive, drawn = draw()

@@ -29,15 +29,9 @@ def draw(rng: np.random.Generator) -> dict:
 
 
 def bucket(radius: float, width: float, has_plates: bool) -> dict:
-    """Returns a bucket that opens towards -x; its edge is the reference point.
-
-    A flat floor rises by 15 degrees behind the edge and goes over into half a circle.
-
-    Args:
-        radius: of the inside of the back, m.
-        width: m.
-        has_plates: whether its ends are closed.
-    """
+    """Returns a bucket of an inner `radius` (m) and a width (m) that opens towards -x; its edge is
+    the reference point. A flat floor rises by 15 degrees behind the edge and goes over into half a
+    circle; its ends may be closed by plates."""
     rise = math.radians(15.0)
     along = np.array([math.cos(rise), math.sin(rise)])
     normal = np.array([-along[1], along[0]])

@@ -34,11 +34,9 @@ def blade_displacement(motion: int, depth: float, speed: float, times: np.ndarra
         ends = np.array([0.0, ramp, ramp + cut, 2 * ramp + cut])
         x = np.interp(times, ends, np.cumsum([0.0, depth, CUT_LENGTH, depth]))
         return np.stack([-x, np.interp(times, ends, [0.0, -depth, -depth, 0.0])], axis=1)
-    if motion == 2:
-        total = CUT_LENGTH / speed
-        s = np.minimum(times, 0.95 * total)
-        return np.stack([-speed * s, -2 * depth / total * np.sqrt(s * total - s**2)], axis=1)
-    raise ValueError(f'motion must be 1 or 2, got {motion}')
+    total = CUT_LENGTH / speed
+    s = np.minimum(times, 0.95 * total)
+    return np.stack([-speed * s, -2 * depth / total * np.sqrt(s * total - s**2)], axis=1)
 
 
 def blade_start(scene: Scene) -> np.ndarray:
@@ -49,22 +47,16 @@ def blade_start(scene: Scene) -> np.ndarray:
 
 
 def make_drive(scene: Scene, parameters: dict) -> Drive:
-    """Returns the body of a case of the grid and its motion.
-
-    Raises:
-        ValueError: if the lean of the blade is outside [0, 60] degrees.
-    """
+    """Returns the body of a case of the grid and its motion."""
     if scene.name == 'wheel':
         return _wheel_drive(scene, parameters)
-    lean_deg = parameters['angle_deg']
-    if not 0.0 <= lean_deg <= bodies.MAX_LEAN_DEG:
-        raise ValueError(f'blade angle must lie in [0, {bodies.MAX_LEAN_DEG}] deg, got {lean_deg}')
+    lean = math.radians(parameters['angle_deg'])
     motion, depth, speed = (parameters[name] for name in ('motion', 'depth_m', 'speed_m_s'))
     start = blade_start(scene)
 
     def pose(times):
         x, y = (start + blade_displacement(motion, depth, speed, times)).T
-        return poses(times, x, y, -math.radians(lean_deg), scene.bin.z_middle)
+        return poses(times, x, y, -lean, scene.bin.z_middle)
 
     return Drive(bodies.make_blade(), pose)
 
@@ -84,12 +76,8 @@ def _wheel_drive(scene: Scene, parameters: dict) -> Drive:
 
 
 def under_load(first: float, load) -> Machine:
-    """Returns what carries a wheel whose height is free under a load.
-
-    Args:
-        first: the first load, N; the wheel's mass is that which weighs it on the Earth.
-        load: times [T] (s) -> N.
-    """
+    """Returns what carries a wheel whose height is free under a load: times [T] (s) -> N, of which
+    the `first` (N) is the wheel's weight on the Earth."""
 
     def force(times):
         return load(times)[:, None] * [0.0, -1.0, 0.0]

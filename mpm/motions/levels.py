@@ -1,11 +1,8 @@
 """Quantities that go from level to level by quintic pieces, and their integrals in closed form."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 
-@dataclass(frozen=True)
 class Levels:
     """Values reached at given times, joined by s(u) = 6 u^5 - 15 u^4 + 10 u^3.
 
@@ -19,17 +16,10 @@ class Levels:
         values: float64 [K].
     """
 
-    times: np.ndarray
-    values: np.ndarray
-
     PEAK = 1.875
 
-    def __post_init__(self):
-        times, values = (np.asarray(x, np.float64) for x in (self.times, self.values))
-        if times.ndim != 1 or times.shape != values.shape or not (np.diff(times) > 0.0).all():
-            raise ValueError(f'levels {values} at times {times}: one value at each, ascending')
-        object.__setattr__(self, 'times', times)
-        object.__setattr__(self, 'values', values)
+    def __init__(self, times, values):
+        self.times, self.values = np.asarray(times, np.float64), np.asarray(values, np.float64)
 
     def _pieces(self, times):
         """The pieces [T] in which `times` [T] lie, their lengths (s) and the share gone by."""
@@ -44,10 +34,8 @@ class Levels:
         return self.values[k] + rise * (u * u * u * (10.0 + u * (6.0 * u - 15.0)))
 
     def integral(self, times: np.ndarray) -> np.ndarray:
-        """Returns the integrals [T] from the first level's time to `times` [T] (s).
-
-        Before the first level the integral is 0: what has not begun does not move.
-        """
+        """Returns the integrals [T] from the first level's time to `times` [T] (s), 0 before it:
+        what has not begun does not move."""
         times = np.asarray(times, np.float64)
         mean = (self.values[1:] + self.values[:-1]) / 2.0  # s(u) has the mean 1/2
         before = np.concatenate([[0.0], np.cumsum(mean * np.diff(self.times))])
@@ -76,7 +64,6 @@ class Track:
         return self.times[-1]
 
     def last(self, name: str) -> float:
-        """Returns the last level of a quantity."""
         return self.values[name][-1]
 
     def add(self, seconds: float, **levels: float) -> None:
@@ -86,5 +73,4 @@ class Track:
             values.append(levels.get(name, values[-1]))
 
     def levels(self, name: str) -> Levels:
-        """Returns a quantity over time."""
-        return Levels(np.array(self.times), np.array(self.values[name]))
+        return Levels(self.times, self.values[name])

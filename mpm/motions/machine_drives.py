@@ -36,8 +36,6 @@ def machine_drive(
 
     Returns:
         The drive and its parameters, JSON-compatible; `machine` among them where something is free.
-
-    Raises:
         ValueError: a bin in which no path fits.
     """
     rng = np.random.default_rng([seed, KINDS.index(kind), 3])
@@ -98,15 +96,14 @@ def _set_down(rng, box, body):
     speed = rng.uniform(0.03, 0.12) if is_dragged else 0.0
     halts = rng.uniform(settles + 1.0, scenes.DURATION)
     travel = Levels(
-        np.array([0.0, settles, settles + 0.4, halts, halts + 0.4]),
-        np.array([0.0, 0.0, speed, speed, 0.0]),
+        [0.0, settles, settles + 0.4, halts, halts + 0.4], [0.0, 0.0, speed, speed, 0.0]
     )
-    grows = Levels(np.array([0.05, 0.05 + GROWTH]), np.array([0.0, 1.0]))
+    grows = Levels([0.05, 0.05 + GROWTH], [0.0, 1.0])
     # A load on top, that changes once.
     most = DRAGGED_FACTOR if is_dragged else max(1.0, min(1.8, MASSES[1] / mass))
     changed = rng.uniform(0.4, most) if rng.random() < 0.5 else 1.0
     when = rng.uniform(0.5, scenes.DURATION - 0.5)
-    factor = Levels(np.array([when, when + 0.2]), np.array([1.0, changed]))
+    factor = Levels([when, when + 0.2], [1.0, changed])
     is_free = [False, True, False]
     stiffness, damping = np.zeros(3), np.zeros(3)
     inertia = mass * 0.15**2
@@ -152,7 +149,6 @@ def _actuated(rng, scene, seed, tool, parameters):
 
 
 def described(machine: Machine) -> dict:
-    """Returns what a record says of a machine, JSON-compatible."""
     return {
         'is_free': list(machine.is_free),
         'mass_kg': round(machine.mass, 6),

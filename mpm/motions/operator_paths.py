@@ -75,7 +75,6 @@ class _Story(Track):
         self.add(max(seconds, slowest), speed=speed, depth=depth, lean=lean)
 
     def wait(self, seconds) -> None:
-        """Stands still."""
         self.go(seconds, 0.0, lean=self.last('lean'))
 
     def travel_in_air(self, distance, peak) -> None:
@@ -86,7 +85,7 @@ class _Story(Track):
         self.go(seconds, 0.0)
 
     def way(self) -> float:
-        """Returns how far it has gone forward, m."""
+        """How far it has gone forward, m."""
         return float(self.levels('speed').integral([self.time])[0])
 
 
@@ -97,10 +96,7 @@ def operator_drive(
 
     Returns:
         The drive and its parameters, JSON-compatible; among them the `ground` where it is not the
-        usual one, the `frames` where they are more than usual.
-
-    Raises:
-        ValueError: a bin in which no path fits.
+        usual one, the `frames` where they are more than usual. ValueError: no path fits the bin.
     """
     rng = np.random.default_rng([seed, KINDS.index(kind), 1])
     parameters = {'kind': kind, 'path_seed': seed}
@@ -210,7 +206,7 @@ def _aside(moves, places):
         return lambda times: np.full(len(np.asarray(times)), places[0])
     times = [t for move in moves for t in move]
     values = [places[0]] + [p for place in places[1:-1] for p in (place, place)] + [places[-1]]
-    return Levels(np.array(times), np.array(values))
+    return Levels(times, values)
 
 
 def _is_fine(drive, box, parameters) -> bool:
@@ -313,17 +309,13 @@ def _halting_clock(rng):
         times += [time, time + frame, time + frame + halt, time + 2 * frame + halt]
         rates += [1.0, 0.0, 0.0, 1.0]
         time = times[-1] + rng.uniform(0.4, 1.0)
-    return Levels(np.array(times), np.array(rates)).integral
+    return Levels(times, rates).integral
 
 
 def _earlier_pass(rng, story) -> tuple[int, tuple]:
-    """Adds a quick first pass, the way back through the air, and a pause above the soil.
-
-    The next path starts within 12 cm of the place where this pass started.
-
-    Returns:
-        The frames until it is over, and when the blade is on its way in the air (s).
-    """
+    """Adds a quick first pass, the way back through the air, and a pause above the soil; the next
+    path starts within 12 cm of the place where this pass started. Returns the frames until it is
+    over, and when the blade is on its way in the air (s)."""
     clearance = -story.last('depth')
     speed = rng.uniform(0.10, MAX_SPEED)
     story.go(rng.uniform(0.5, 0.7), speed, rng.uniform(0.02, 0.07))

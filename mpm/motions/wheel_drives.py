@@ -61,9 +61,7 @@ def free_drive(
 
     Returns:
         The drive and its parameters, JSON-compatible, those of a case of the grid among them.
-
-    Raises:
-        ValueError: a bin in which no drive fits.
+        ValueError: no drive fits the bin.
     """
     rng = np.random.default_rng([seed, KINDS.index(kind), 2])
     context = _draw_context(rng, scene)
@@ -97,11 +95,7 @@ def _draw_context(rng, scene) -> dict:
 
 def _draw_wheel(rng, has_grousers) -> dict:
     radius = rng.uniform(0.07 if has_grousers else RADII[0], RADII[1])
-    tool = {
-        'name': 'wheel',
-        'radius': round(radius, 4),
-        'width': round(rng.uniform(*WIDTHS), 4),
-    }
+    tool = {'name': 'wheel', 'radius': round(radius, 4), 'width': round(rng.uniform(*WIDTHS), 4)}
     if has_grousers:
         height = min(rng.uniform(*GROUSERS['height']), 0.15 * radius)
         tool['grousers'] = {
@@ -124,10 +118,7 @@ def _draw(rng, scene, kind, wheel, mean_load, context) -> tuple[Drive, dict]:
     {'stops': _stops, 'reverse': _reverse}.get(plot, _slip)(rng, story)
     rim, travel = story.levels('rim'), story.levels('travel')
     shown = np.linspace(0.0, scenes.DURATION, round(scenes.DURATION * scenes.FRAME_RATE) + 1)
-    parameters = {
-        'plot': plot,
-        'rim_speed_max_m_s': round(float(np.abs(rim(shown)).max()), 6),
-    }
+    parameters = {'plot': plot, 'rim_speed_max_m_s': round(float(np.abs(rim(shown)).max()), 6)}
     machine, height = None, None
     if kind == 'height':
         height = _bobbing(rng, box, wheel)
@@ -171,7 +162,7 @@ def _bobbing(rng, box, wheel) -> Levels:
         step = rng.uniform(-0.004, 0.004) if rng.random() < 0.6 else None
         height = heights[-1] + step if step is not None else base - sinkage()
         heights.append(float(np.clip(height, base - DEEPEST, base + 0.01)))
-    return Levels(np.array(times), np.array(heights))
+    return Levels(times, heights)
 
 
 def _slip(rng, story) -> None:

@@ -60,11 +60,8 @@ def spheres(positions: np.ndarray, box: Bin) -> np.ndarray:
 
 
 def count(positions: np.ndarray, middles: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Counts the particles [N, 3] in each of M spheres, and sums up their `values` [N].
-
-    Returns:
-        Numbers and sums, float64 [2, M].
-    """
+    """Counts the particles [N, 3] in each of M spheres, and sums up their `values` [N]: float64 [2,
+    M]."""
     inside = cKDTree(positions).query_ball_point(middles, RADIUS)
     return np.array(
         [[len(rows) for rows in inside], [values[rows].sum() for rows in inside]], float
@@ -74,9 +71,8 @@ def count(positions: np.ndarray, middles: np.ndarray, values: np.ndarray) -> np.
 def moved_density(start: np.ndarray, end: np.ndarray, simulation) -> float | None:
     """Returns the density of soil that moved over that of the bed before; None: too little moved.
 
-    Args:
-        start, end: float64 [N, 3], places of all particles, m.
-        simulation: `Simulation` at the end, whose body is left out.
+    `start` and `end` [N, 3] (m) are the places of all particles; the body of the `Simulation` at
+    the end is left out.
     """
     box = simulation.box
     way = np.linalg.norm(end - start, axis=1)
@@ -91,15 +87,11 @@ def moved_density(start: np.ndarray, end: np.ndarray, simulation) -> float | Non
 
 
 def settled_soil(box: Bin, particles: np.ndarray, soil: Soil) -> dict:
-    """Returns the reaction of walls and floor over the weight, and the stress over rho g h.
+    """Returns the reaction of walls and floor over the weight of a settled packing (particles), and
+    the stress over rho g h.
 
     The vertical stress in the middle of the bin is given apart for the soil above the lowest cell
     and within it: nodes below the floor are held, so that the grid has no linear field there.
-
-    Args:
-        box: the bin of the packing.
-        particles: the settled packing.
-        soil: of the packing.
     """
     grid, nodes = make_grid(box), make_nodes(make_grid(box))
     volume = packing.particle_volume(box)

@@ -178,11 +178,8 @@ class Incline:
         on_interval: Callable[[], None] = lambda: None,
     ) -> None:
         """Advances by whole exchange intervals, at least `seconds`, and calls `on_interval` after
-        each; `settling` is a factor on the nodes' velocities at each kick.
-
-        Raises:
-            ValueError: soil leaves the layer, or crosses half a cell between exchanges.
-        """
+        each; `settling` is a factor on the nodes' velocities at each kick. ValueError: soil leaves
+        the layer, or crosses half a cell between exchanges."""
         angle = math.radians(angle_deg)
         along, down = EARTH_GRAVITY * math.sin(angle), EARTH_GRAVITY * math.cos(angle)
         for _ in tqdm(range(math.ceil(seconds / EXCHANGE - 1e-9)), leave=False):
@@ -201,11 +198,8 @@ class Incline:
 
 
 def bagnold(per_cell: float, start: float, end: float) -> dict[str, float]:
-    """Lets beads flow that begin at the closed form's speed; looks at them from `start` to `end` s.
-
-    Args:
-        per_cell: see `layer_bin`.
-        start, end: s.
+    """Lets beads flow that begin at the closed form's speed; looks at them from `start` to `end`
+    (s).
 
     Returns:
         Against the closed form at the same particles: `surface`, the speed of the uppermost of

@@ -23,11 +23,8 @@ DENSE = 55.0  # particles a cell, of the flow that is compared with a closed for
 
 
 def rows_of(raw_path: str) -> dict:
-    """Returns name -> function that makes the checks of that name, those that cost least first.
-
-    Args:
-        raw_path: folder of the raw runs of both scenes; packings are kept there.
-    """
+    """Returns name -> function that makes the checks of that name, those that cost least first;
+    packings are kept in the folder of the raw runs of both scenes."""
     rows = (free_fall, shear, momentum, incline_flow, incline_halt)
     found = {row.__name__: row for row in rows}
     found |= {f'column_{aspect:g}': partial(column, aspect) for aspect in COLUMN_ASPECTS}

@@ -92,7 +92,7 @@ def measured(name: str, variant: Variant) -> dict:
     """
     scene_name, case = name.split(':')
     case = int(case) if case.isdecimal() else case
-    scene = scenes.scene_named(scene_name)
+    scene = scenes.SCENES[scene_name]
     scene = catalogue.in_bin(scene, catalogue.bin_name(scene, case))
     scene = dataclasses.replace(scene, bin=box_of(scene.bin, variant))
     frames, first, _ = CASES[name]
@@ -143,12 +143,8 @@ def compared(found: dict, reference: dict) -> dict:
 
 
 def limit(cells: np.ndarray, drafts: np.ndarray) -> tuple[float, float]:
-    """Returns the draft (N) at cells of no size and its error: see the module.
-
-    Args:
-        cells: float64 [K], sizes in the plane, m, K >= 3.
-        drafts: float64 [K], N.
-    """
+    """Returns the draft (N) at cells of no size and its error (see the module), from the drafts [K]
+    (N) at cells [K] (m, in the plane), K >= 3."""
     limits = []
     for order in (1.0, 1.5, 2.0):
         design = np.stack([np.ones(len(cells)), cells**order], axis=1)

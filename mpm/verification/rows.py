@@ -16,20 +16,16 @@ from pca_tools import command
 from pca_tools.files import read_json, write_text
 from pca_tools.storage import markdown
 
-# Place of a result in the file, as names from the outside in -> function that makes it.
+# Place of a result in the file, as names from the outside in -> function that makes it (checks or
+# a dictionary).
 Jobs = dict[tuple[str, ...], Callable[[], Any]]
 
 
 @dataclass(frozen=True)
 class Check:
-    """A figure, what it should be, and within what.
+    """A figure, what it should be (None: it is only reported), and within what.
 
-    Attributes:
-        name: what is compared.
-        figure: measured.
-        expected: its exact or published value; None for a figure that is only reported.
-        tolerance: largest absolute difference.
-        note: source, or what the figure is made of.
+    The note says the source, or what the figure is made of.
     """
 
     name: str
@@ -40,13 +36,7 @@ class Check:
 
     @property
     def passed(self) -> bool:
-        """Whether the figure is within the tolerance; a reported one always is."""
         return self.expected is None or bool(abs(self.figure - self.expected) <= self.tolerance)
-
-
-def kept_checks(make: Callable[[], list[Check]]) -> Callable[[], dict]:
-    """Returns a function that makes checks as a file keeps them."""
-    return lambda: {'checks': [asdict(check) | {'passed': check.passed} for check in make()]}
 
 
 def checks_of(content: dict) -> list[dict]:
@@ -55,16 +45,9 @@ def checks_of(content: dict) -> list[dict]:
 
 
 def summary(path: str, only: str = '') -> str:
-    """Returns the kept checks as Markdown, those that check the same of other cases in one row.
-
-    Args:
-        path: JSON file.
-        only: beginnings of the names of entries, with commas, of which those are shown that are
-            judged; default: all checks.
-
-    Raises:
-        ValueError: as `read_kept`.
-    """
+    """Returns the kept checks of a JSON file as Markdown, those that check the same of other cases
+    in one row; `only` names entries by their beginnings, with commas, of which those that are
+    judged are shown. ValueError: as `read_kept`."""
     groups: dict[tuple, list[dict]] = {}
     for name, entry in read_kept(path).get('entries', {}).items():
         for row in entry['checks'] if name.startswith(tuple(only.split(','))) else ():
@@ -87,11 +70,8 @@ def summary(path: str, only: str = '') -> str:
 
 
 def read_kept(path: str) -> dict:
-    """Returns what a report keeps in a JSON file; without a file nothing but the version.
-
-    Raises:
-        ValueError: the file is no JSON, or of another version of the solver.
-    """
+    """Returns what a report keeps in a JSON file, nothing but the version without one; ValueError:
+    no JSON, or of another version of the solver."""
     if not os.path.exists(path):
         return {'solver_version': SOLVER_VERSION}
     content = read_json(path)
@@ -101,18 +81,10 @@ def read_kept(path: str) -> dict:
 
 
 def make(path: str, jobs: Jobs, names: list[str] | None = None) -> dict:
-    """Makes the results that a file does not hold yet, and writes it after each.
+    """Makes the results that a JSON file does not hold yet, those in whose names one of `names`
+    stands (None: all), and writes it after each. Returns what the file then holds.
 
-    Args:
-        path: JSON file.
-        jobs: what there is to make.
-        names: only results in whose names one of these stands; None: all.
-
-    Returns:
-        What the file holds then.
-
-    Raises:
-        ValueError: a name that no result has; see `read_kept`.
+    ValueError: a name that no result has; see `read_kept`.
     """
     content = read_kept(path)
     for text in names or ():
@@ -128,13 +100,14 @@ def make(path: str, jobs: Jobs, names: list[str] | None = None) -> dict:
         if place[-1] not in inner:
             started = time.process_time()
             found = job()
+            if not isinstance(found, dict):
+                found = {'checks': [asdict(one) | {'passed': one.passed} for one in found]}
             inner[place[-1]] = {'cpu_s': round(time.process_time() - started, 1)} | found
             write_text(path, _lines(content) + '\n')
     return content
 
 
 def name_of(place: tuple[str, ...]) -> str:
-    """Returns how a result is called on the command line and in lists."""
     return '/'.join(place[1:])
 
 

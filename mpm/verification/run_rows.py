@@ -52,11 +52,8 @@ PAIR_SURFACE = 0.7  # mm
 
 
 def rows_of(raw_path: str) -> dict:
-    """Returns name -> function that makes the checks of that name, those that cost least first.
-
-    Args:
-        raw_path: folder of the raw runs of both scenes; runs that a row needs are made there.
-    """
+    """Returns name -> function that makes the checks of that name, those that cost least first;
+    runs that a row needs are made in the folder of the raw runs of both scenes."""
     rows: dict[str, Callable[[], list[Check]]] = {}
     for case in HALVED_CASES:
         rows[f'halved_{case}'] = partial(halved_step, EXCAVATION, case, HALVED_FRAMES)
@@ -254,20 +251,9 @@ def depth_exponent(raw_path: str) -> list[Check]:
 
 
 def saw_tooth(force: np.ndarray, speed: float, dx: float) -> float:
-    """Returns the amplitude of a force at the rate at which cells are crossed, over its mean.
-
-    Args:
-        force: float64 [T], N, at the frame rate, while the body cuts at constant speed.
-        speed: m/s.
-        dx: cell size, m.
-
-    Raises:
-        ValueError: if fewer than four cells are crossed.
-    """
+    """Returns the amplitude of a force [T] (N, at the frame rate) at the rate at which cells of
+    `dx` (m) are crossed at a constant speed (m/s), over its mean."""
     frames = len(force)
-    crossings = speed * frames / scenes.FRAME_RATE / dx
-    if crossings < 4.0:
-        raise ValueError(f'{frames} frames at {speed} m/s cross {crossings:.2g} cells; 4 needed')
     t = np.linspace(-1.0, 1.0, frames)
     window = np.hanning(frames)
     rest = force - np.polyval(np.polyfit(t, force, 3), t)
@@ -291,16 +277,12 @@ def cutting_frames(parameters: dict, count: int) -> np.ndarray:
     return steady[len(steady) // 4 :]
 
 
-def cutting_force(run: raw_run.RawRun) -> np.ndarray:
-    """Returns the force [K] (N) along x of a run in its `cutting_frames`."""
-    return run.force[cutting_frames(run.parameters, len(run.force)), 0].astype(np.float64)
-
-
 def saw_tooth_case(case: int, raw_path: str) -> list[Check]:
     """The force's saw-tooth at the cell-crossing rate."""
     run = run_of(EXCAVATION, case, raw_path)
     speed, dx = run.parameters['speed_m_s'], run.parameters['cell_m'][0]
-    share = saw_tooth(cutting_force(run), speed, dx)
+    cuts = cutting_frames(run.parameters, len(run.force))
+    share = saw_tooth(run.force[cuts, 0].astype(np.float64), speed, dx)
     name = f'excavation {case}: saw-tooth over the mean force'
     return [Check(name, share, 0.0, 0.05, f'at {speed / dx:.1f} Hz')]
 

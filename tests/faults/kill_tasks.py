@@ -115,10 +115,7 @@ def _solve(folder, frames=SOLVER_FRAMES, cases=SOLVER_CASES):
     from tests.mpm.small import BLADE
 
     with mock.patch.object(scenes, 'FRAMES', frames):
-        batch.generate(
-            BLADE, cases, f'{folder}/solver',
-            simulation.Settings(), show_progress=False,
-        )  # fmt: skip
+        batch.generate(BLADE, cases, f'{folder}/solver', simulation.Settings())
 
 
 def warm(folder: str) -> None:

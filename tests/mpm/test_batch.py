@@ -33,7 +33,7 @@ scenes.FRAMES = int(sys.argv[1])
 if __name__ == '__main__':
     cases = tuple(int(case) for case in sys.argv[3].split(','))
     scene, number = coarse(scenes.EXCAVATION), int(sys.argv[4])
-    batch.generate(scene, cases, sys.argv[2], Settings(), number, show_progress=False)
+    batch.generate(scene, cases, sys.argv[2], Settings(), number)
 """
 
 
@@ -57,7 +57,7 @@ def short(monkeypatch):
 
 def make(folder, *cases, scene=small.BLADE, tool=None, **settings):
     chosen = Settings(**settings)
-    return batch.generate(scene, cases, str(folder), chosen, tool=tool, show_progress=False)
+    return batch.generate(scene, cases, str(folder), chosen, tool=tool)
 
 
 def digests(folder):

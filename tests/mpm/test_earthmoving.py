@@ -22,5 +22,3 @@ def test_heap_and_depth_raise_the_draft():
 
     assert draft(0.1) > 3.9 * draft(0.05)
     assert draft(0.1, heap=lambda reach: 10.0) > draft(0.1)
-    with pytest.raises(ValueError, match='no failure plane'):
-        draft(0.1, rake=3.0)

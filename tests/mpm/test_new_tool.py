@@ -105,7 +105,7 @@ def test_from_an_outline_to_c_with_a_kill_in_between(tmp_path):
     # Runs of a coarse grid count as made.
     cases = tuple(new_tool.planned(checked, count)[2])
     raw = str(out / 'raw')
-    batch.generate(small.BLADE, cases, raw, Settings(), tool=checked, show_progress=False)
+    batch.generate(small.BLADE, cases, raw, Settings(), tool=checked)
     more = (f'--runs={count}', '--num_steps=20', '--num_processes=1')
     first = started(tool, out, *more)
     saved = out / 'model' / 'training.npz'

@@ -42,7 +42,7 @@ def test_runs_are_drawn_whatever_moved_the_tool(tmp_path, monkeypatch):
         ('bucket', small.BLADE, ('halts_0000',), bucket), ('wheel', small.WHEEL, (5,), None),
     ):  # fmt: skip
         folder, file = str(tmp_path / name), tmp_path / f'{name}.png'
-        batch.generate(scene, runs, folder, Settings(), tool=tool, show_progress=False)
+        batch.generate(scene, runs, folder, Settings(), tool=tool)
         cases = picture.first_of_each_kind(folder)
         assert len(cases) == len(runs)
         picture.draw_runs(folder, cases, str(file))

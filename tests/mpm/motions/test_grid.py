@@ -43,5 +43,3 @@ def test_blade_leans_back_by_its_angle():
     rows = bodies.sample_points(drive.body, drive.pose(np.zeros(1))[0]).reshape(4, 5, 3)
     rise = rows[-1, 0] - rows[0, 0]
     assert np.degrees(np.arctan2(rise[0], rise[1])) == pytest.approx(30.8)
-    with pytest.raises(ValueError, match='60.0'):
-        grid.make_drive(scenes.EXCAVATION, parameters | {'angle_deg': 61.0})

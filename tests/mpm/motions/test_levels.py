@@ -34,12 +34,6 @@ def test_integral_against_quadrature(time):
     assert LEVELS.integral(np.array([time]))[0] == pytest.approx(expected, abs=1e-10)
 
 
-@pytest.mark.parametrize('times', [[0.0, 0.0], [1.0, 0.5], [0.0, np.nan], [0.0, 1.0, 2.0]])
-def test_times_that_do_not_ascend_are_refused(times):
-    with pytest.raises(ValueError, match='ascending'):
-        Levels(np.array(times), np.zeros(2))
-
-
 def test_a_track_keeps_what_is_not_named():
     track = Track(x=1.0, y=2.0)
     track.add(0.5, x=3.0)

@@ -21,11 +21,6 @@ def test_saw_tooth_finds_a_tone_under_a_trend(share):
     assert found == pytest.approx(share * 110.0 / force.mean(), abs=1e-3)
 
 
-def test_saw_tooth_needs_a_few_cells():
-    with pytest.raises(ValueError, match='4 needed'):
-        run_rows.saw_tooth(np.ones(60), 0.01, 0.0133)
-
-
 def made_up(case):
     """A run of a case whose force is the number of its frame."""
     force = np.zeros((scenes.FRAMES, 3), dtype=np.float32)
@@ -38,7 +33,7 @@ def made_up(case):
 @pytest.mark.parametrize('case', run_rows.SAW_TOOTH_CASES)
 def test_cutting_is_at_constant_speed_and_about_level(case):
     made = made_up(case)
-    frames = run_rows.cutting_force(made).astype(int)
+    frames = run_rows.cutting_frames(made.parameters, len(made.force))
     assert len(frames) > 60 and (np.diff(frames) == 1).all()
     pose = run_rows.path_of(made.parameters)[frames]
     slope = np.abs(np.diff(pose[:, 1]) / np.diff(pose[:, 0]))
