@@ -14,13 +14,8 @@ from mpm.solver import EXCHANGE, Solver
 
 
 class Experiment:
-    """A block of soil in a box, stepped by hand.
-
-    Attributes:
-        particles: float64 [N, COLUMNS], free of stress and at rest at first.
-        solver: `solver.Solver`; its `steps` and `dt` are those of the CFL limit.
-        impulse: float64 [6], given to the body so far: N s, and N m s about its reference point.
-    """
+    """A block of soil in a box, stepped by hand; its `particles` [N, COLUMNS] are free of stress
+    and at rest at first."""
 
     def __init__(
         self, room: Bin, block: Bin, soil: Soil, lift: float = 0.0, smooth_sides: bool = False
@@ -32,7 +27,7 @@ class Experiment:
         self.particles = packing.lattice(block, seed=0)
         self.particles[:, 1] += lift
         self.solver = Solver(grid, soil, packing.particle_volume(block))
-        self.impulse = np.zeros(6)
+        self.impulse = np.zeros(6)  # given to the body: N s, and N m s about its reference point
 
     @property
     def grid(self) -> Grid:

@@ -37,42 +37,30 @@ def rigid_type(rigid_motion: str) -> int:
     return KINEMATIC_PARTICLE_ID if rigid_motion == 'prescribed' else RIGID_PARTICLE_ID
 
 
+def _series(*shape: int | None) -> Any:
+    return dataclasses.field(default=None, metadata={'shape': shape})
+
+
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class FrameSeries:
-    """What a run may have beside positions, float32 with T frames first, each or None.
+    """What a run may have beside positions, each or None: float32 [T, shape], where None in a shape
+    is as many as the scene has."""
 
-    Attributes:
-        step_context: [T, C], global context.
-        force: [T, 3] on the rigid body, newtons; of several bodies their sum.
-        torque: [T, 3] on the body about the position of `rigid_pose`, newton metres.
-        rigid_pose: [T, 7] of the body, position (metres) and unit quaternion (w, x, y, z).
-        body_force: [T, B, 3] on each of several bodies, newtons.
-        body_pose: [T, B, 7] of each of several bodies, as `rigid_pose`.
-        target: [T, 3], place (m) along and up and angle (rad) that the actuators of a free body
-            pull towards.
-        external: [T, 3], force (N, N, N m) on the same three of a free body beside soil and
-            actuators, at the end of each frame.
-        subframe_force: [T, 4, 3], force on a free body in the quarters of each frame, newtons.
-    """
-
-    step_context: np.ndarray | None = None
-    force: np.ndarray | None = None
-    torque: np.ndarray | None = None
-    rigid_pose: np.ndarray | None = None
-    body_force: np.ndarray | None = None
-    body_pose: np.ndarray | None = None
-    target: np.ndarray | None = None
-    external: np.ndarray | None = None
-    subframe_force: np.ndarray | None = None
+    step_context: np.ndarray | None = _series(None)  # global context
+    force: np.ndarray | None = _series(DIM)  # on the rigid body, N; of several bodies their sum
+    torque: np.ndarray | None = _series(DIM)  # on the body about the position of its pose, N m
+    rigid_pose: np.ndarray | None = _series(7)  # position (m) and unit quaternion (w, x, y, z)
+    body_force: np.ndarray | None = _series(None, DIM)  # on each of several bodies, N
+    body_pose: np.ndarray | None = _series(None, 7)  # of each of several bodies
+    # Place (m) along and up and angle (rad) that the actuators of a free body pull towards.
+    target: np.ndarray | None = _series(DIM)
+    # Force (N, N, N m) on these beside soil and actuators, at the end of each frame.
+    external: np.ndarray | None = _series(DIM)
+    subframe_force: np.ndarray | None = _series(4, DIM)  # on a free body in the quarters, N
 
 
-# Name -> shape of a frame; None: as many as the scene has. Readers of the published formats ignore
-# those that they do not know.
-FRAME_SERIES = {
-    'step_context': (None,), 'force': (DIM,), 'torque': (DIM,), 'rigid_pose': (7,),
-    'body_force': (None, DIM), 'body_pose': (None, 7),
-    'target': (DIM,), 'external': (DIM,), 'subframe_force': (4, DIM),
-}  # fmt: skip
+# Name -> shape of a frame. Readers of the published formats ignore those that they do not know.
+FRAME_SERIES = {field.name: field.metadata['shape'] for field in dataclasses.fields(FrameSeries)}
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

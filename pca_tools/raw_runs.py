@@ -63,15 +63,7 @@ class RawRun(FrameSeries):
 
 
 class RawRuns(Sequence):
-    """The finished runs of a raw folder, opened one at a time.
-
-    Attributes:
-        folder: the raw folder.
-        scene: the scene as the solver wrote it.
-        dt: seconds per frame.
-        bounds: [[low, high]] * 3, metres.
-        cases: case ids in manifest order.
-    """
+    """The finished runs of a raw folder, opened one at a time."""
 
     def __init__(self, folder: str):
         """Reads the manifest.
@@ -86,11 +78,11 @@ class RawRuns(Sequence):
             raise FileNotFoundError(f'{folder}: no such folder of raw runs')
         manifest = files.read_json(path)
         raise_faults(path, manifest_faults(manifest))
-        self.scene: dict[str, Any] = manifest['scene']
-        self.dt: float = manifest['dt']
-        self.bounds: list[list[float]] = manifest['bounds']
+        self.scene: dict[str, Any] = manifest['scene']  # as the solver wrote it
+        self.dt: float = manifest['dt']  # s per frame
+        self.bounds: list[list[float]] = manifest['bounds']  # [[low, high]] * 3, m
         self._entries = manifest['runs']
-        self.cases = [entry['case'] for entry in self._entries]
+        self.cases = [entry['case'] for entry in self._entries]  # ids in manifest order
         self._verified: set[int] = set()
         self._first: tuple[tuple[int, ...], Grid | None] | None = None
         self._reference: np.ndarray | None = None
@@ -98,7 +90,7 @@ class RawRuns(Sequence):
 
     @property
     def world(self) -> dict[str, Any]:
-        """What all runs share: `scene`, `bounds` (m) and `dt` (s)."""
+        """What all runs share."""
         return {'scene': self.scene, 'bounds': self.bounds, 'dt': self.dt}
 
     def __len__(self) -> int:

@@ -47,12 +47,7 @@ class Levels:
 
 
 class Track:
-    """Levels of several quantities at common times, while a motion is drawn.
-
-    Attributes:
-        times: s, the first is 0.
-        values: name -> its levels at these times.
-    """
+    """Levels of several quantities at common times (s, the first is 0), while a motion is drawn."""
 
     def __init__(self, **start: float):
         self.times = [0.0]

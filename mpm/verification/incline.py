@@ -94,22 +94,14 @@ def closed_form(height, depth: float, angle_deg: float, soil: Soil):
 
 
 class Incline:
-    """A layer of soil, periodic along x and z, on a rough floor.
-
-    Attributes:
-        particles: float64 [N, COLUMNS], settled.
-        grid: `Grid` without walls but for the floor.
-        soil: `Soil`.
-        depth: of the layer as packed, m.
-        period: [2], along x and z, m.
-    """
+    """A layer of soil, periodic along x and z, on a rough floor, the only wall of its grid."""
 
     def __init__(self, box: Bin, soil: Soil):
         """Settles the layer of a bin (`layer_bin`)."""
         walls = (-NO_WALL, NO_WALL, PAD, -NO_WALL, NO_WALL, 0)
         self.grid: Grid = make_grid(box)._replace(walls=walls)
-        self.soil, self.depth = soil, box.size[1]
-        self.period = np.array([box.size[0], box.size[2]])
+        self.soil, self.depth = soil, box.size[1]  # m, as packed
+        self.period = np.array([box.size[0], box.size[2]])  # along x and z, m
         self._cells = np.round(self.period / box.dx).astype(int)
         self._volume = packing.particle_volume(box)
         self._steps = steps_in(EXCHANGE, soil, box.dx)
