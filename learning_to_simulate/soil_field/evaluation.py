@@ -344,7 +344,7 @@ def formula(run: Run) -> dict | None:
 
 def edge_depth(run: Run, frames: sweep.Frame) -> np.ndarray:
     """[T] m: how deep the lowest point of a tool lies under the terrain right ahead of it; frames
-    of `samples.frames_of`."""
+    of `samples.episode_of`."""
     tip, height = (frames.scalars[:, 0, sweep.SCALARS.index(n)] for n in ('tip', 'height'))
     scale, grid = run.tool.scale, sweep.GRID
     ahead = tip.astype(np.float64) + run.tool.radius / scale + grid.spacing
@@ -356,7 +356,8 @@ def edge_depth(run: Run, frames: sweep.Frame) -> np.ndarray:
 def _earthmoving(run):
     """[T, 3] N along, up, across, of `earthmoving.cutting_force`: the depth is `edge_depth`, the
     heap all that was cut."""
-    frames, passage, _ = samples.frames_of(run)
+    whole = samples.episode_of(run)
+    frames, passage = whole.frames, whole.passage
     scalars = {n: frames.scalars[:, 0, i].astype(np.float64) for i, n in enumerate(sweep.SCALARS)}
     tool, scale = run.tool, run.tool.scale
     friction = run.soil.friction

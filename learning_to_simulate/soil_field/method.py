@@ -175,8 +175,8 @@ def _one_step_errors(field, runs) -> dict[str, float]:
     its own."""
     rows = []
     for run in runs:
-        frames, passage, _ = samples.frames_of(run)
-        off = field.loads(frames).mean(axis=0) - samples.loads_of(run, passage.place)
+        whole = samples.episode_of(run)
+        off = field.loads(whole.frames).mean(axis=0) - whole.loads
         off = off * run.tool.units(run.soil)
         rows.append([np.mean(np.square(off[:, part])) for part in (slice(0, 3), slice(3, 6))])
     force, torque = np.mean(rows, axis=0)

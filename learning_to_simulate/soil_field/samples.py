@@ -21,7 +21,9 @@ from learning_to_simulate.soil_field.runs import Run
 LEAST_MOTION, LEAST_FORCE = 0.003, 5.0
 MOVED = 0.001  # m of the field, of what moves
 DRAWN = 48  # places or particles of a frame
-START_EVERY = 100  # frames between the starts of episodes of particles
+START_EVERY = 64  # frames between the starts of episodes
+EPISODE = 128  # frames of one that begins in the middle of a run
+SETTLED = 0.05  # m of the field, way after which (7) holds nothing of where an episode began
 BATCH = 128  # frames
 
 
@@ -69,21 +71,50 @@ class Walk:
         self.passage.step(run.pose[self.frame_number], run.dt)
 
 
-def frames_of(run: Run) -> tuple[sweep.Frame, Passage, list]:
-    """`Frame` of [T, ...] of a run, its passage at the end, and of each frame with heights its
-    number, the origin's places [K, 2] of cells and how far they have risen [K], m of the field."""
-    walk = Walk(run)
-    passage, frames, risen = walk.passage, [], []
+class Episode(NamedTuple):
+    """A run from one of its frames on.
+
+    Attributes:
+      frames: `Frame` of [T, ...].
+      passage: at the end.
+      risen: of each frame with heights its number in `frames`, the origin's places [K, 2] of cells
+        and how far they have risen [K] since the episode began, m of the field.
+      loads: [T, 6], see `loads_of`.
+      settled: [T], whether the memory is that of the run.
+    """
+
+    frames: sweep.Frame
+    passage: Passage
+    risen: list
+    loads: np.ndarray
+    settled: np.ndarray
+
+
+def starts_of(run: Run) -> range:
+    """The frames, multiples of the stride of its heights, from which episodes of a run begin."""
+    return range(0, max(len(run.pose) - 2 * run.stride, 1), START_EVERY - START_EVERY % run.stride)
+
+
+def episode_of(run: Run, start: int = 0) -> Episode:
+    """The whole run, or `EPISODE` frames from the middle of it: the tool stands in the soil as it
+    was recorded, which it has not moved, so a field learns to go on from any terrain."""
+    walk = Walk(run, start, set_down=start == 0)
+    passage, frames, risen, ways = walk.passage, [], [], []
+    last = min(start + EPISODE, len(run.pose) - 1) if start else len(run.pose) - 1
     while True:
         frames.append(passage.frame)
+        ways.append(passage.state.way[0])
         t = walk.frame_number
         if not t % run.stride:
             cells, places, before = passage.surroundings()
             now = run.heights[t // run.stride].ravel()[cells]
-            risen.append((t, places, (now - before) / passage.scale))
-        if t + 1 == len(run.pose):
-            return _stacked(frames, len(passage.strips.centres)), passage, risen
+            risen.append((t - start, places, (now - before) / passage.scale))
+        if t == last:
+            break
         walk.go_on()
+    settled = np.array(ways) >= (SETTLED if start else 0.0)
+    loads = loads_of(run, passage.place)[start : last + 1]
+    return Episode(_stacked(frames, len(passage.strips.centres)), passage, risen, loads, settled)
 
 
 def _stacked(frames, n_strips):
@@ -95,8 +126,9 @@ def _stacked(frames, n_strips):
     )  # fmt: skip
 
 
-def load_part(networks, run: Run, frames: sweep.Frame, place) -> Part:
+def load_part(networks, run: Run, episode: Episode) -> Part:
     """Samples of the load: all frames in which the tool may feel soil."""
+    frames = episode.frames
     call = networks.compiled(frames.bins.shape[1]).load_inputs
     parts = [
         [x.numpy() for x in call(*map(tf.constant, frames.at(slice(i, i + BATCH))))]
@@ -104,10 +136,10 @@ def load_part(networks, run: Run, frames: sweep.Frame, place) -> Part:
     ]
     seen, sides, kappa = (np.concatenate(x) for x in zip(*parts, strict=True))
     width = np.full(len(seen), run.tool.width / run.tool.scale, np.float32)
-    load = loads_of(run, place)
-    size = max(float(np.sqrt((load[:, :2] ** 2).sum(axis=1).mean())), LEAST_FORCE)
-    felt = kappa.max(axis=1) > 0
-    target = load.astype(np.float32)
+    whole = loads_of(run, episode.passage.place)[:, :2]
+    size = max(float(np.sqrt((whole**2).sum(axis=1).mean())), LEAST_FORCE)
+    felt = (kappa.max(axis=1) > 0) & episode.settled
+    target = episode.loads.astype(np.float32)
     weight = np.full(len(seen), 1.0 / size**2, np.float32)
     return Part(tuple(x[felt] for x in (seen, sides, kappa, width)), target[felt], weight[felt])
 
@@ -124,14 +156,18 @@ def _drawn(rng, moves, count):
     return np.concatenate(chosen), np.concatenate(stands)
 
 
-def surface_part(networks, run: Run, frames: sweep.Frame, passage, risen, rng) -> Part:
-    """Samples of the surface."""
-    motion = np.sqrt(np.mean(np.concatenate([rise for *_, rise in risen]) ** 2))
-    rows = []
-    for t, places, rise in risen[1:]:
+def motion_of(episode: Episode) -> float:
+    """Root mean square by which the surface has risen, m of the field."""
+    return float(np.sqrt(np.mean(np.concatenate([rise for *_, rise in episode.risen]) ** 2)))
+
+
+def surface_part(networks, episode: Episode, motion: float, rng) -> Part:
+    """Samples of the surface; `motion` is that of the whole run."""
+    frames, strips, rows = episode.frames, episode.passage.strips, []
+    for t, places, rise in episode.risen[1:]:
         chosen, stands = _drawn(rng, np.abs(rise) > MOVED, DRAWN)
         seen, gate = networks.compiled(frames.bins.shape[1]).surface_inputs(
-            *_one(frames, t), *placed(passage.strips, places[chosen])
+            *_one(frames, t), *placed(strips, places[chosen])
         )
         weight = stands / len(rise) / max(motion, LEAST_MOTION) ** 2
         rows.append((seen.numpy()[0], gate.numpy()[0], rise[chosen], weight))
@@ -139,12 +175,9 @@ def surface_part(networks, run: Run, frames: sweep.Frame, passage, risen, rng) -
 
 
 def soil_part(networks, run: Run, rng) -> Part:
-    """Samples of particles: episodes that begin in the middle of the run too, none longer than the
-    bins reach."""
+    """Samples of particles, of episodes none of which is longer than the bins reach."""
     rows: list = []
-    last = len(run.pose) - 2 * run.stride
-    first = START_EVERY - START_EVERY % run.stride
-    for start in range(0, last, first):
+    for start in starts_of(run):
         walk = Walk(run, start, set_down=start == 0)
         passage, origin = walk.passage, walk.passage.state.origin[0]
         local = passage.place.local(run.particles[:, :]) / passage.scale  # type: ignore[index]

@@ -23,6 +23,9 @@ ROWS = 2048  # that a loss is computed of at a time
 COMPONENTS = {'blade': (1, 1, 0.5, 1, 1, 3), 'wheel': (1, 1, 0, 0, 0, 8)}
 # Share of a run's root mean square of force beyond which errors of the load count by their length.
 ROBUST = 0.3
+# Standard deviation of what is added to the inputs of the load, which are of order one: else the
+# networks of a blade learn its runs by heart. That of a wheel errs more with it.
+NOISE = {'blade': 0.1, 'wheel': 0.0}
 _STREAMS = {'load': 1, 'surface': 2, 'soil': 3}
 
 
@@ -70,15 +73,18 @@ def parts_of(field: SoilField, runs: list[Run], progress=iter) -> dict[str, list
         rng = np.random.Generator(
             np.random.Philox(key=field.config.seed, counter=[0, 0, 9, number])
         )
-        frames, passage, risen = samples.frames_of(run)
-        found = {
-            'load': samples.load_part(networks, run, frames, passage.place),
-            'surface': samples.surface_part(networks, run, frames, passage, risen, rng),
-        }
+        whole = samples.episode_of(run)
+        values.append(field.judged(whole.frames))
+        motion, found = samples.motion_of(whole), []
+        for start in samples.starts_of(run):
+            episode = samples.episode_of(run, start) if start else whole
+            found += [
+                ('load', samples.load_part(networks, run, episode)),
+                ('surface', samples.surface_part(networks, episode, motion, rng)),
+            ]
         if run.particles is not None:
-            found['soil'] = samples.soil_part(networks, run, rng)
-        values.append(field.judged(frames))
-        for name, part in found.items():
+            found.append(('soil', samples.soil_part(networks, run, rng)))
+        for name, part in found:
             pools[name].setdefault(part.inputs[0].shape[1:], []).append(part)
     seen = np.concatenate(values)
     lows, highs = seen.min(axis=0).tolist(), seen.max(axis=0).tolist()
@@ -130,7 +136,9 @@ def fit(
         first = [value.numpy() for value in part.trainable_variables]
         others = held[name] if held else []
         before = loss_of(*how, others)
-        losses[f'loss_{name}'] = _fit(part, *how, name, parts, config, progress, saved)
+        losses[f'loss_{name}'] = _fit(
+            part, *how, name, parts, config, networks.tool.name, progress, saved
+        )
         after = loss_of(*how, others)
         if others:
             stays = after >= before
@@ -156,7 +164,7 @@ def loss_of(call, scale, pools) -> float:
     return total / weights if weights else 0.0
 
 
-def _fit(part, call, scale, name, pools, config, progress, saved=None):
+def _fit(part, call, scale, name, pools, config, tool, progress, saved=None):
     variables = part.trainable_variables
     schedule = tf.keras.optimizers.schedules.CosineDecay(config.learning_rate, config.num_steps)
     optimizer = tf.keras.optimizers.Adam(schedule, global_clipnorm=CLIP_NORM)
@@ -165,7 +173,9 @@ def _fit(part, call, scale, name, pools, config, progress, saved=None):
     mean = sum(pool.weight.sum(dtype=np.float64) for pool in pools) / counts.sum()
     batch = BATCHES[name]
     # ROBUST in the unit of errors: weights of a load are 1 over the mean square of a run.
-    limit = float((ROBUST / network.FORCE) ** 2 / mean) if name == 'load' else 0.0
+    is_load = name == 'load'
+    limit = float((ROBUST / network.FORCE) ** 2 / mean) if is_load else 0.0
+    noise = NOISE[tool] if is_load else 0.0
     # Pools are drawn from by their shares.
     sizes = np.maximum(np.rint(batch * counts / counts.sum()), 1).astype(int)
 
@@ -203,6 +213,9 @@ def _fit(part, call, scale, name, pools, config, progress, saved=None):
         for pool, size in zip(pools, sizes, strict=True):
             rows = rng.integers(len(pool.weight), size=size)
             inputs = tuple(x[rows] for x in pool.inputs)
+            if noise:
+                seen = (x + noise * rng.standard_normal(x.shape, np.float32) for x in inputs[:2])
+                inputs = *seen, *inputs[2:]
             weight = (pool.weight[rows] / mean).astype(np.float32)
             drawn.append((inputs, pool.target[rows], weight))
         loss = step(drawn)

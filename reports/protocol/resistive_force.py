@@ -98,8 +98,8 @@ def loads(run) -> tuple[np.ndarray, np.ndarray]:
 
     A tool that halts feels what it felt last.
     """
-    frames, passage, _ = samples.frames_of(run)
-    tool, soil, place = run.tool, run.soil, passage.place
+    whole = samples.episode_of(run)
+    tool, soil, place = run.tool, run.soil, whole.passage.place
     path = place.local(run.pose[:, :3])[:, :2]
     lean = np.unwrap(place.turns(run.pose)[:, 0])
     at, normal, length = outline(tool)
@@ -115,7 +115,7 @@ def loads(run) -> tuple[np.ndarray, np.ndarray]:
     friction = earthmoving.BLADE.friction if tool.name == 'blade' else (
         wheel_terramechanics.RIM_FRICTION
     )  # fmt: skip
-    surface = path[:, 1] - tool.radius + evaluation.edge_depth(run, frames)
+    surface = path[:, 1] - tool.radius + evaluation.edge_depth(run, whole.frames)
     depth = np.maximum(surface[:, None] - (arm + path[:, None])[..., 1], 0.0)
     xi = scale(soil.density, soil.gravity, soil.friction)
     of_piece = (xi * tool.width * length * depth)[..., None] * stress(normal, motion, friction)

@@ -20,7 +20,7 @@ def folder(tmp_path_factory):
 
 def test_a_loaded_field_says_the_same(folder):
     field, other = worlds.trained()[0], field_lib.load(str(folder))
-    frames, passage, risen = samples.frames_of(worlds.run(8))
+    frames, passage, risen, *_ = samples.episode_of(worlds.run(8))
     assert (field.loads(frames) == other.loads(frames)).all()
     places = risen[-1][1]
     assert (field.rise(passage, places) == other.rise(passage, places)).all()
@@ -70,7 +70,7 @@ def test_weights_that_are_not_finite_are_not_saved(tmp_path):
 
 def test_frames_outside_of_training_are_named():
     field = worlds.trained()[0]
-    frames, _, _ = samples.frames_of(worlds.run(3))
+    frames = samples.episode_of(worlds.run(3)).frames
     names = list(field_lib.CONDITIONS)
     assert not field.limits.outside(field.judged(frames)).any()
 
@@ -99,7 +99,7 @@ def test_frames_outside_of_training_are_named():
 
 def test_a_tool_faster_than_any_taught_feels_what_the_fastest_did():
     field = worlds.trained()[0]
-    frames, _, _ = samples.frames_of(worlds.run(3))
+    frames = samples.episode_of(worlds.run(3)).frames
     column, most = field.networks.scalars['speed'], field.ranges['speed'][1]
 
     def loads(speed):

@@ -11,8 +11,7 @@ from tests.learning_to_simulate.soil_field import worlds
 def test_loads_are_in_the_axes_and_units_of_the_field():
     run = worlds.run(3)._replace(soil=Soil(density=2 * 1730.61, gravity=9.81 / 4))
     field = training.make_field(worlds.CONFIG, 'blade', worlds.SMALL)
-    frames, passage, _ = samples.frames_of(run)
-    part = samples.load_part(field.networks, run, frames, passage.place)
+    part = samples.load_part(field.networks, run, samples.episode_of(run))
     depth = np.maximum(worlds.TOOL.radius - worlds.path(3)[:, 1], 0.0)
     kappa = part.inputs[2]
     assert len(part.target) == len(depth) and (kappa > 0).all()  # never far above the soil
@@ -35,14 +34,15 @@ def test_drawn_places_stand_for_all():
 def test_targets_are_what_the_run_shows():
     run = worlds.run(2)
     field = training.make_field(worlds.CONFIG, 'blade', worlds.SMALL)
-    frames, passage, risen = samples.frames_of(run)
-    t, places, rise = risen[7]
+    whole = samples.episode_of(run)
+    passage = whole.passage
+    t, places, rise = whole.risen[7]
     cells = np.stack([-(places[:, 0] + passage.state.origin[0]), -places[:, 1]], axis=1)
     index = np.rint((cells - worlds.CORNER) / worlds.CELL - 0.5).astype(int)
     now = run.heights[t // run.stride][index[:, 0], index[:, 1]]
     np.testing.assert_allclose(rise, now, atol=1e-12)  # the bed was level, at 0
     rng = np.random.default_rng(0)
-    surface = samples.surface_part(field.networks, run, frames, passage, risen, rng)
+    surface = samples.surface_part(field.networks, whole, samples.motion_of(whole), rng)
     assert surface.target.min() < -0.02 and surface.target.max() == np.float32(worlds.HEAP)
     soil = samples.soil_part(field.networks, run, rng)
     moved = np.abs(soil.target).max(axis=1) > 1e-4
@@ -58,3 +58,23 @@ def test_a_walk_sees_the_terrain_as_it_was_recorded():
     for _ in range(5):
         walk.go_on()
     assert walk.frame_number == 29 and (walk.passage.terrain.heights == run.heights[7]).all()
+
+
+def test_an_episode_from_the_middle_of_a_run():
+    """Its places have risen since it began; its loads count once the memory is that of the run."""
+    run = worlds.run(2)
+    longer = run._replace(pose=np.repeat(run.pose, 4, axis=0))
+    assert list(samples.starts_of(longer)) == [0, 64, 128]
+    whole, part = samples.episode_of(run), samples.episode_of(run, 24)
+    assert whole.settled.all() and len(part.frames.scalars) == len(run.pose) - 24
+    np.testing.assert_array_equal(part.loads, whole.loads[24:])
+    t, places, rise = part.risen[-1]
+    cells = np.stack([-(places[:, 0] + part.passage.state.origin[0]), -places[:, 1]], axis=1)
+    cells = cells + part.passage.place.origin[[0, 2]]
+    index = np.rint((cells - worlds.CORNER) / worlds.CELL - 0.5).astype(int)
+    risen = (run.heights[(24 + t) // run.stride] - run.heights[6])[index[:, 0], index[:, 1]]
+    np.testing.assert_allclose(rise, risen, atol=1e-12)
+    assert np.abs(rise).max() > 0.005 and 0 < part.settled.sum() < len(part.settled)
+    memory = [i for i, name in enumerate(samples.sweep.SCALARS) if name[-2:] in ('_0', '_1')]
+    seen, known = (e.frames.scalars[:, 0, memory] for e in (part, whole))
+    np.testing.assert_allclose(seen[part.settled], known[24:][part.settled], atol=1e-4)

@@ -14,9 +14,8 @@ def test_the_law_of_the_soil_is_learned():
     assert set(losses) == {'loss_load', 'loss_surface', 'loss_soil'}
     assert all(len(pool) == 1 for pool in pools.values())
     run = worlds.run(17)
-    frames, passage, risen = samples.frames_of(run)
+    frames, passage, risen, truth, _ = samples.episode_of(run)
     loads = field.loads(frames).mean(axis=0)
-    truth = samples.loads_of(run, passage.place)
     assert np.linalg.norm((loads - truth)[:, :2]) < 0.25 * np.linalg.norm(truth[:, :2])
     assert np.abs(loads[:, [2, 3, 4]]).max() < 1e-3  # even ground pushes to no side
     rise, still = [], []
@@ -58,7 +57,7 @@ def test_two_trainings_are_equal_and_bad_ones_refused():
 
 def test_a_training_that_starts_from_another_field():
     first, _, pools = worlds.trained()
-    frames, _, _ = samples.frames_of(worlds.run(17))
+    frames = samples.episode_of(worlds.run(17)).frames
     other = training.make_field(worlds.CONFIG, 'blade', first=first)
     assert (other.loads(frames) == first.loads(frames)).all()
     before = first.networks.load.layers[0][0].numpy().copy()
