@@ -76,6 +76,8 @@ def values(field) -> dict:
         'max_step': passage.MAX_STEP,
         'set_down': passage.SET_DOWN,
         'factor': tool.factor,
+        'lifted': tool.lifted,
+        'under': passage.UNDER,
         'slides': terrain.SLIDES,
         'slope_tolerance': terrain.SLOPE_TOLERANCE,
         'fastest': engine.FASTEST,

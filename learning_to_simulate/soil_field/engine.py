@@ -18,7 +18,7 @@ from learning_to_simulate.soil_field.place import Place, checked_pose, place_of
 # A pose that is farther than this from the one before is a jump, m/s and rad/s.
 FASTEST, FASTEST_TURN = 3.0, 20.0
 # In the air a tool that leaves the plane of its passage by more begins a new one: rad, m of the
-# field.
+# field. So does one that is lifted over what it has cut.
 TURNED, MOVED = 0.01, 0.005
 
 
@@ -174,7 +174,8 @@ class TfEngine:
         passage = copy.copy(self._passage)
         (_, yaw, _), aside = passage.place.turns(pose), passage.place.local(pose[:3])[2]
         in_air = not (last.force.any() or last.torque.any())
-        if in_air and (abs(yaw) > TURNED or abs(aside) / passage.scale > MOVED):
+        leaves = abs(yaw) > TURNED or abs(aside) / passage.scale > MOVED or passage.is_over
+        if in_air and leaves:
             fresh = self._begun(pose)
             if not np.any(self._field.loads(fresh.frame, 1)):
                 return fresh, self._seen(fresh, pose, last.judgement)
@@ -205,10 +206,12 @@ class TfEngine:
     def _seen(self, passage, pose, before):
         frame = passage.frame
         loads = self._field.loads(frame, self._members)[:, 0].astype(np.float64) * self._units
-        share = self._field.contact(passage, self._members) if loads.any() else 1.0
-        loads *= share
+        bears = None  # a blade on its head may touch soil without a load
+        if loads.any():
+            share = self._field.contact(passage, self._members)
+            loads, bears = share * loads, share > 0
         mean = loads.mean(axis=0)
-        values = self._field.judged(frame, self._conditions(passage, pose)[None], share == 0)
+        values = self._field.judged(frame, self._conditions(passage, pose)[None], bears)
         now = self._field.limits.judge(values, self._number, bool(np.isfinite(mean).all()))
         force, torque = passage.place.vectors(mean[:3]), passage.place.vectors(mean[3:])
         spread = loads.std(axis=0)
@@ -247,7 +250,8 @@ class TfAnchor:
         return sweep.follow(origin, self._passage.seen(pose)[0]) != origin
 
     def follow(self, pose, dt: float) -> None:
-        self._passage.step(pose, dt)
+        if not self._passage.lifts(pose):
+            self._passage.step(pose, dt)
 
     def displaced(self, rest) -> np.ndarray:
         """float32 [P, 3], m, world: where particles are now that were at rest [P, 3]."""

@@ -84,10 +84,10 @@ class SoilField:
     def _known(self):
         return self.ranges | CONDITIONS | {'cell': (0.0, self.networks.tool.largest_cell)}
 
-    def judged(self, frames: sweep.Frame, conditions=None, in_air: bool = False) -> np.ndarray:
+    def judged(self, frames: sweep.Frame, conditions=None, bears: bool | None = None) -> np.ndarray:
         """[T, N] numbers that say whether frames of one tool are like those of training, see
         `judged_names`; `conditions` are [T, 7] of `CONDITIONS` (None: all as they should be),
-        `in_air` says that the tool is known to be clear of the soil, see `contact`."""
+        `bears` says whether soil acts on the tool, where that is known, see `contact`."""
         columns = self.networks.scalars
         tip, height, radius = (
             frames.scalars[:, 0, columns[n]] for n in ('tip', 'height', 'radius')
@@ -108,12 +108,12 @@ class SoilField:
         names = self.judged_names[: named(self.networks.tool)]
         own = [frames.scalars[..., columns[n]].max(axis=1) for n in names]
         values = np.stack(own + found, axis=1).astype(np.float64)
-        lowest = np.where(here, surface - frames.bins[..., sweep.CUT], np.inf).min(axis=(1, 2))
         # In the air all is free but what the tool is.
-        touches = self._lowest_part(frames) < np.maximum(lowest, level) + network.ABOVE + (
+        touches = self._lowest_part(frames) < level + network.ABOVE + (
             network.HEAP * np.sqrt(np.maximum(values[:, 1:3].max(axis=1), 0.0))
         )
-        touches &= not in_air
+        if bears is not None:
+            touches[:] = bears
         free = np.zeros(len(self.judged_names), bool)
         free[: len(_SCALARS)] = free[len(names) :] = True
         if conditions is None:

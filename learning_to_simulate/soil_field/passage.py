@@ -18,6 +18,7 @@ EVEN = 1e-3  # m of the field by which strips may differ and count as one
 # m of the field along the way in one frame: farther, cells would go by that no frame saw.
 MAX_STEP = sweep.WINDOW
 SET_DOWN = 0.05  # m of the field above all soil, from where a tool is set down
+UNDER = 0.1  # m of the field along the way from a tool, where terrain counts as under it
 
 
 class Passage:
@@ -35,7 +36,8 @@ class Passage:
 
     r' of the network and sums over cells in sight; the factor lies within that of the
     tool. What a chunk of cells changes in C as it leaves comes in over the next `GRID.chunk` bins
-    of way.
+    of way. A tool that is lifted over the terrain before it moves no soil: heights stay as they
+    were when it left.
 
     Args:
       terrain: is changed, if `rise` is given.
@@ -90,12 +92,29 @@ class Passage:
         self._owed = self._owed_at = 0.0  # C less all that was cut, before a chunk left; way then
         self._see()
         self._is_stale = set_down
+        self.is_lifted = self._lifts(self._pose)
 
     def seen(self, pose) -> np.ndarray:
         """u, y (m of the field) and lean (rad) of a pose [7]."""
         pose = checked_pose(pose)
         u, y, _ = self.place.local(pose[:3]) / self.scale
         return np.array([u, y, self.place.turns(pose)[0]])
+
+    def lifts(self, pose) -> bool:
+        """Whether a tool at a pose [7] is by `Tool.lifted` over the highest terrain before it that
+        lies under it, and over the mean of all in sight."""
+        return self._lifts(self.seen(pose))
+
+    def _lifts(self, pose):
+        surface = self.state.surface[self.strips.under]
+        is_under = np.abs(self.state.origin[0] + sweep.GRID.offsets - pose[0]) < UNDER
+        highest = surface[:, is_under].max(initial=surface.mean())
+        return bool(pose[1] - self._radius[0] > highest + self.tool.lifted)
+
+    @property
+    def is_over(self) -> bool:
+        """Whether the tool has cut and is lifted since."""
+        return self.is_lifted and bool(sweep.all_cut(self.state).any())
 
     def _is_even(self, u):
         """Whether all strips are equal at places u [k]."""
@@ -142,6 +161,9 @@ class Passage:
         change[2] = (change[2] + np.pi) % (2 * np.pi) - np.pi
         refuse_far(self.scale, change[0])
         origin, to = self.state.origin[0], sweep.follow(self.state.origin[0], coming[0])
+        lifts = self._lifts(coming)
+        if lifts and not self.is_lifted:
+            self.update()  # as the tool leaves it
         if to != origin:
             self.update()  # the last chance of cells that the bins leave
             if self._looks:
@@ -152,7 +174,7 @@ class Passage:
         self.gone = self.gone[:0]
         if to != origin:
             self._see()
-        self._is_stale = True
+        self._is_stale, self.is_lifted = True, lifts
 
     @property
     def carried(self) -> np.ndarray:
@@ -218,7 +240,7 @@ class Passage:
         if self._rise is None:
             return
         self.meet()
-        if not self._is_stale:
+        if not self._is_stale or self.is_lifted:
             return
         self._is_stale = False
         cells, places, before = self.surroundings()

@@ -67,6 +67,8 @@ class Tool(abc.ABC):
     # Over the floor, and of the maps, that it was taught, m of the field.
     least_soil: ClassVar[float]
     largest_cell: ClassVar[float]
+    # Over the soil, m of the field, beyond all that it was taught: what it has moved stays.
+    lifted: ClassVar[float]
     # Bounds of the factor by which a heap is drawn up for its volume, see (20) in `passage`. On
     # ways that no run had, the networks of a wheel tell less than a quarter of its thin heaps.
     factor: ClassVar[tuple[float, float]]
@@ -115,6 +117,7 @@ class Blade(Tool):
     bears = False
     least_soil = 0.05
     largest_cell = 0.04
+    lifted = 0.04
     factor = (0.5, 4.0)
     taught_widths: ClassVar = (0.15, 0.6)
     scalars = ('half_width', 'friction', 'radius', 'length', 'bucket', 'plates')
@@ -161,6 +164,7 @@ class Wheel(Tool):
     bears = True
     least_soil = 0.008
     largest_cell = 0.052
+    lifted = 0.03
     factor = (0.5, 10.0)
     RIM: ClassVar = 0.1  # m of the field
     scalars = ('half_width', 'friction', 'radius', 'lugs', 'lug_height', 'stress')

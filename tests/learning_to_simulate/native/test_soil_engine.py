@@ -374,21 +374,53 @@ def test_a_tool_faster_than_any_taught_feels_what_the_fastest_did():
 @pytest.mark.parametrize('tool', TOOLS.values(), ids=TOOLS)
 def test_a_tool_that_is_clear_of_its_heap_is_in_the_air(tool, ground):
     pair = both(ground(), tool)
-    (_, last), ends = drive(pair, path(30, 0.4)), []
+    (_, last), ends, kappa = drive(pair, path(30, 0.4)), [], 0.0
     for height in np.linspace(last.pose[1], 0.02 + 1.6 * tool.radius + 0.13, 25):
         pose = np.array(last.pose)
         pose[1] = height
         frames = [one.step(pose, DT) for one in pair]
         assert_frame(*frames)
         ends.append(np.linalg.norm(frames[0].force))
-    assert ends[0] > 0 == ends[-1]
-    # As far as it knows what was cut, a heap might reach it.
-    passage = pair[1]._engine._passage
-    assert pair[1].field.networks.load_inputs(*passage.frame)[2].numpy().max() > 0
+        passage = pair[1]._engine._passage
+        if not ends[-1]:  # as far as it knows what was cut, a heap might reach it
+            kappa += pair[1].field.networks.load_inputs(*passage.frame)[2].numpy().max()
+    assert ends[0] > 0 == ends[-1] and kappa > 0
     pose[2] += 0.05
     frames = [one.step(pose, DT) for one in pair]
     assert_frame(*frames)
     assert frames[0].now.status == 'ok' and pair[1]._engine._passage is not passage
+
+
+@pytest.mark.parametrize('ground', [flat, hills])
+@pytest.mark.parametrize('tool', TOOLS.values(), ids=TOOLS)
+def test_a_lifted_tool_leaves_its_cut_and_begins_anew(tool, ground):
+    pair, high = both(ground(), tool), 0.3 + 2 * tool.radius
+    drive(pair, path(30, 0.4))
+    for one in pair:
+        one.particles()
+    u, y, lean = path(30, 0.4)[-1]
+    for height in np.linspace(y, high, 12):
+        pose = poses([[u, height, lean]])[0]
+        assert_frame(*(one.step(pose, DT) for one in pair))
+        assert_ground(*pair)
+    heights, passage = pair[0].terrain.heights.copy(), pair[1]._engine._passage
+    assert passage.is_lifted and not passage.is_over and passage.state.way.max() < 0.5
+    for x in (0.6, 0.7, 0.5):
+        pose = poses([[x, high, lean]])[0]
+        assert_frame(*(one.step(pose, DT) for one in pair))
+    np.testing.assert_array_equal(pair[0].terrain.heights, heights)
+    drive(pair, np.append([[0.5, 0.2, 0.2]], path(30, -0.4, start=0.5), axis=0))
+    assert_ground(*pair)
+    for one in pair:
+        assert np.isfinite(one.particles()).all()
+
+
+def test_a_dam_is_flagged_where_it_bears():
+    ground = flat()
+    is_dam = np.abs(ground.middles[1]) < 0.2
+    ground.write(slice(None), np.where(is_dam, 0.0, -0.5 + np.zeros((200, 1))).ravel())
+    frame, _ = drive(both(ground, made=ranged(bed_low=[-0.1, 0.0])), path(30, 0.4))
+    assert frame.force.any() and frame.now.status == 'extrapolating'
 
 
 def test_flags_word_for_word():

@@ -1,6 +1,5 @@
 """A tool on its way: turned, moved, mirrored and scaled scenes, and what it does to the terrain."""
 
-
 import numpy as np
 import pytest
 
@@ -266,6 +265,34 @@ def test_soil_is_kept_on_a_way_of_any_length(tool, share, even):
         carried = passage.state.dropped.mean() + 0.03 * 0.005 * (passage.state.profile < 0)[0].sum()
         wanted = carried - left / (tool.width / scale) - passage.state.dropped.mean()
         np.testing.assert_allclose(passage.carried.mean(), wanted, atol=2e-3)
+
+
+def test_a_lifted_tool_leaves_the_soil_as_it_is(tool):
+    def rise(passage, places):
+        return trench(passage, places) * (1.0 - passage.state.pose[0, 1])
+
+    soil, over = level(), tool.radius / tool.scale + tool.lifted
+    passage, _ = walk(soil, tool, poses(path_of(tool, 0.0, 0.4)), rise=rise)
+
+    def go(u, height):
+        pose = poses([[u, tool.scale * (over + height), 0.0]])[0]
+        assert passage.lifts(pose) == (height > 0)
+        passage.step(pose, DT)
+        return soil.heights.copy()
+
+    soil.add_work(passage)
+    low = go(0.4, -1e-3)
+    assert low.min() < -0.015 and not (passage.is_lifted or passage.is_over)
+    for u, height in ((0.4, 1e-3), (0.42, 0.1), (0.8, 0.3), (0.6, 0.3)):
+        np.testing.assert_array_equal(go(u, height), low)
+        assert passage.is_over
+    # Over a heap it is nearer, and where it comes down heights follow it again.
+    heap, near = soil.clone(), poses([[0.0, tool.scale * (over + 0.02), 0.0]])[0]
+    heap.write(slice(None), soil.heights.ravel() + 0.03)
+    assert Passage(soil, tool, near).is_lifted and not Passage(heap, tool, near).is_lifted
+    assert (go(0.5, -1e-3) != low).any()
+    passage, _ = walk(level(), tool, poses([[0.0, 1.0, 0.0], [0.1, 1.0, 0.0]]), rise=rise)
+    assert passage.is_lifted and not passage.is_over
 
 
 def test_soil_that_leaves_the_map_is_not_made_up_for():

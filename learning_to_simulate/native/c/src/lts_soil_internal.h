@@ -26,7 +26,7 @@ typedef struct {
   double left_behind, dropped_there, owed, owed_at;
   int32_t n_strip, looks; /* looks: whether to see if the terrain goes on being even */
   int32_t cells, stale;   /* which of the instance's cells are in sight; whether their heights are old */
-  int32_t n_gone, unused; /* cells that the bins have left in the last step */
+  int32_t n_gone, lifted; /* cells that the bins have left in the last step; whether the tool is over the soil */
 } lts_way;
 
 typedef struct {
@@ -143,6 +143,8 @@ void lts_soil_take_all_strips(const lts_soil *soil, lts_passage *p);
 int lts_soil_begin(lts_soil *soil, lts_passage *p, const lts_pose *pose, int set_down);
 int lts_soil_go(lts_soil *soil, lts_passage *p, const lts_pose *pose, double dt);
 void lts_soil_copy(const lts_soil *soil, lts_passage *to, const lts_passage *from);
+/* Whether its tool has cut and is lifted since. */
+int lts_soil_is_over(const lts_soil *soil, const lts_passage *p);
 
 /* lts_soil_table.c: inputs [n][ld] of places. offsets count from `base`; `other` are neighbours of strips, or null. */
 void lts_soil_inputs(const lts_soil *soil, const lts_table *table, const lts_places *places,

@@ -18,6 +18,36 @@ static void seen_pose(const lts_soil *soil, const lts_place *place, const lts_po
   out[2] = turns[0];
 }
 
+/* Whether a tool that is seen somewhere is by `lifted` over the highest terrain before it that lies under it, and
+ * over the mean of all in sight. */
+static int lifts(const lts_soil *soil, const lts_passage *p, const double seen[3]) {
+  const lts_soil_model *m = soil->model;
+  const int several = p->s.n_strip > 1, first = several ? m->n_beside : 0, count = several ? m->n_column : 1;
+  const double bottom = seen[1] - soil->radius, middle = (seen[0] - p->s.origin) / m->spacing + m->n_behind;
+  const int begin = (int)fmax(middle - m->under / m->spacing, 0.0);
+  const int end = (int)fmin(middle + m->under / m->spacing + 2.0, (double)m->n_bin);
+  double sum = 0.0;
+  for (int k = begin; k < end; ++k) {
+    if (!(fabs(p->s.origin + lts_soil_offset(m, k) - seen[0]) < m->under)) continue;
+    for (int j = first; j < first + count; ++j) {
+      if (!(bottom > p->surface[LTS_SOIL_ROW(soil, j) + (size_t)k] + m->lifted)) return 0;
+    }
+  }
+  for (size_t i = LTS_SOIL_ROW(soil, first); i < LTS_SOIL_ROW(soil, first + count); ++i) sum += p->surface[i];
+  return bottom > sum / (count * m->n_bin) + m->lifted;
+}
+
+int lts_soil_is_over(const lts_soil *soil, const lts_passage *p) {
+  if (!p->s.lifted) return 0;
+  for (int j = 0; j < p->s.n_strip; ++j) {
+    if (p->s.dropped[j] > 0.0) return 1;
+  }
+  for (size_t i = 0; i < LTS_SOIL_ROW(soil, p->s.n_strip); ++i) {
+    if (p->profile[i] < p->surface[i]) return 1;
+  }
+  return 0;
+}
+
 /* Whether all strips are equal at a place. */
 static int is_even(const lts_soil *soil, const lts_place *place, double u) {
   const int n = lts_soil_n_strip(soil);
@@ -71,6 +101,7 @@ int lts_soil_begin(lts_soil *soil, lts_passage *p, const lts_pose *pose, int set
   if (set_down) w->pose[1] = fmax(first[1], highest + soil->radius + m->set_down);
   lts_soil_sweep_start(soil, p);
   if (set_down) lts_soil_advance(soil, p, first, 0.0, 1.0);
+  w->lifted = lifts(soil, p, first);
   return LTS_OK;
 }
 
@@ -125,6 +156,9 @@ int lts_soil_go(lts_soil *soil, lts_passage *p, const lts_pose *pose, double dt)
   for (int i = 0; i < 3; ++i) change[i] = coming[i] - p->s.pose[i];
   change[2] -= turn * floor((change[2] + turn / 2.0) / turn);
   if (!(fabs(change[0]) <= m->max_step)) return LTS_ERROR_JUMP;
+  const int is_lifted = lifts(soil, p, coming);
+  if (is_lifted && !soil->writes) return LTS_OK; /* particles stay as they are */
+  if (is_lifted && !p->s.lifted) lts_soil_write(soil); /* as the tool leaves it */
   const double to = lts_soil_followed(m, p->s.origin, coming[0]);
   const int moves_on = to != p->s.origin;
   if (moves_on) LTS_TRY(follow(soil, p, to));
@@ -133,5 +167,6 @@ int lts_soil_go(lts_soil *soil, lts_passage *p, const lts_pose *pose, double dt)
   p->s.n_gone = 0;
   if (moves_on) lts_soil_look_around(soil, p);
   p->s.stale = 1;
+  p->s.lifted = is_lifted;
   return LTS_OK;
 }

@@ -14,13 +14,13 @@
 static int find_ground(const lts_soil *soil, const lts_passage *p, double area, double found[N_GROUND]) {
   const lts_soil_model *m = soil->model;
   const int n_strip = p->s.n_strip;
-  const float *surface = soil->bins[LTS_SOIL_SURFACE], *cut = soil->bins[LTS_SOIL_CUT], *s = soil->scalars[0];
+  const float *surface = soil->bins[LTS_SOIL_SURFACE], *s = soil->scalars[0];
   const double tip = s[LTS_SOIL_TIP], bottom = (double)s[LTS_SOIL_HEIGHT] - (double)s[m->radius];
   const double middle = tip / m->spacing + m->n_behind, reach = m->judged_near / m->spacing;
   const int begin = (int)fmax(middle - reach - 1.0, 0.0);
   const int end = (int)fmin(middle + reach + 2.0, (double)m->n_bin);
   double sum = 0.0;
-  float least = HUGE_VALF, most = -HUGE_VALF, uneven = 0.0f, lowest = HUGE_VALF;
+  float least = HUGE_VALF, most = -HUGE_VALF, uneven = 0.0f;
   int n_here = 0;
   for (int k = begin; k < end; ++k) {
     const double away = fabs(lts_soil_offset(m, k) - tip);
@@ -37,7 +37,6 @@ static int find_ground(const lts_soil *soil, const lts_passage *p, double area, 
       least = surface[i] < least ? surface[i] : least;
       most = surface[i] > most ? surface[i] : most;
       uneven = off > uneven ? off : uneven;
-      if (is_here && surface[i] - cut[i] < lowest) lowest = surface[i] - cut[i];
     }
   }
   const double level = sum / n_here;
@@ -46,7 +45,7 @@ static int find_ground(const lts_soil *soil, const lts_passage *p, double area, 
   found[2] = most - level;
   found[3] = uneven;
   found[4] = m->ahead - (double)s[LTS_SOIL_OWN + m->n_own + 2];
-  return lts_soil_lowest_part(soil) < fmax(lowest, level) + (double)m->above + (double)m->heap * sqrt(fmax(area, 0.0));
+  return lts_soil_lowest_part(soil) < level + (double)m->above + (double)m->heap * sqrt(fmax(area, 0.0));
 }
 
 /* What no network sees: `CONDITIONS` of field.py. */
@@ -77,8 +76,9 @@ static void find_conditions(const lts_soil *soil, const lts_passage *p, const lt
   found[6] = fmax(t->cell[0], t->cell[1]) / soil->scale;
 }
 
-/* Scalars, ground and conditions [n_judged]; in the air all is free but what the tool is. */
-static void find_judged(const lts_soil *soil, const lts_passage *p, const lts_pose *pose, int in_air,
+/* Scalars, ground and conditions [n_judged]; in the air all is free but what the tool is. bears: whether soil acts on
+ * the tool, negative where that is not known. */
+static void find_judged(const lts_soil *soil, const lts_passage *p, const lts_pose *pose, int bears,
                         double *values) {
   const lts_soil_model *m = soil->model;
   const int path[4] = {LTS_SOIL_LEAN, LTS_SOIL_AREA, LTS_SOIL_OWN + m->n_own, LTS_SOIL_SPEED};
@@ -92,14 +92,15 @@ static void find_judged(const lts_soil *soil, const lts_passage *p, const lts_po
   }
   values[LTS_SOIL_JUDGED_SPEED] = (float)p->s.speed; /* of scalars at most what was taught */
   find_conditions(soil, p, pose, values + m->n_named + N_GROUND);
-  if (find_ground(soil, p, fmax(values[1], values[2]), values + m->n_named) && !in_air) return;
+  const int touches = find_ground(soil, p, fmax(values[1], values[2]), values + m->n_named);
+  if (bears < 0 ? touches : bears) return;
   for (int i = 0; i < m->n_judged; ++i) {
     if (i < 4 || i >= m->n_named) values[i] = m->middle[i];
   }
 }
 
 /* Bits of all that is outside, and the first of them; or of what is not finite. */
-static int judge(const lts_soil *soil, const lts_passage *p, const lts_pose *pose, int in_air, int is_finite,
+static int judge(const lts_soil *soil, const lts_passage *p, const lts_pose *pose, int bears, int is_finite,
                  int frame, lts_judgement *found) {
   const lts_soil_model *m = soil->model;
   const int n = m->n_judged;
@@ -111,7 +112,7 @@ static int judge(const lts_soil *soil, const lts_passage *p, const lts_pose *pos
     *found = none;
     return LTS_NON_FINITE;
   }
-  find_judged(soil, p, pose, in_air, values);
+  find_judged(soil, p, pose, bears, values);
   for (int i = 0; i < n; ++i) {
     const double *limits = m->limits + i;
     if (values[i] >= limits[0] && values[i] <= limits[n]) continue;
@@ -144,7 +145,8 @@ static void answer(lts_soil *soil, const lts_passage *p, const lts_pose *pose, c
                    int passage, lts_soil_result *out) {
   const int members = soil->members;
   double mean[6];
-  const double share = lts_soil_find_loads(soil, p, members, soil->loads) ? lts_soil_contact(soil, p) : 1.0;
+  const int loaded = lts_soil_find_loads(soil, p, members, soil->loads);
+  const double share = loaded ? lts_soil_contact(soil, p) : 1.0;
   int is_finite = 1;
   for (int i = 0; i < 6; ++i) {
     double sum = 0.0, square = 0.0;
@@ -165,7 +167,8 @@ static void answer(lts_soil *soil, const lts_passage *p, const lts_pose *pose, c
                    : weights[0] * soil->units[0] + weights[1] * apart + weights[2] * size;
   lts_place_vector(&p->s.place, mean, out->force);
   lts_place_vector(&p->s.place, mean + 3, out->torque);
-  judge(soil, p, pose, share == 0.0, is_finite, soil->frame, &out->now);
+  /* A blade on its head may touch soil without a load. */
+  judge(soil, p, pose, loaded ? share > 0.0 : -1, is_finite, soil->frame, &out->now);
   out->worst = before && rank(before) >= rank(&out->now) ? *before : out->now;
   out->status = out->worst.status;
   out->frame = soil->frame;
@@ -251,7 +254,7 @@ static int check_step(const lts_soil *soil, const lts_pose *pose, double dt, lts
   return is_under_floor(soil, unit) ? LTS_ERROR_PLACE : LTS_OK;
 }
 
-/* Whether a tool is in the air and has left the plane of its passage. */
+/* Whether a tool is in the air and has left the plane of its passage, or is over what it has cut. */
 static int is_away(const lts_soil *soil, const lts_pose *pose) {
   const lts_place *place = &soil->passage[soil->now].s.place;
   const lts_soil_result *last = &soil->result;
@@ -261,6 +264,7 @@ static int is_away(const lts_soil *soil, const lts_pose *pose) {
   }
   lts_place_turns(place, pose, turns);
   lts_place_local(place, pose->position, local);
+  if (lts_soil_is_over(soil, &soil->passage[soil->now])) return 1;
   return fabs(turns[1]) > soil->model->turned || fabs(local[2] / soil->scale) > soil->model->moved;
 }
 

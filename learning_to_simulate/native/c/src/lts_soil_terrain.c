@@ -293,7 +293,7 @@ void lts_soil_write(lts_soil *soil) {
   const lts_soil_model *m = soil->model;
   const lts_terrain *t = soil->terrain;
   if (!soil->started || !soil->writes) return;
-  if (lts_soil_meet(soil, p) || !p->s.stale) return;
+  if (lts_soil_meet(soil, p) || !p->s.stale || p->s.lifted) return;
   p->s.stale = 0;
   lts_cells *c = &soil->cells[p->s.cells];
   const cells_in_sight sight = {c, p->s.origin};
