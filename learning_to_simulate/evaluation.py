@@ -319,7 +319,9 @@ def table(summary: dict) -> str:
     for row in summary['runs']['model']:
         if row['status'] != RolloutStatus.OK:
             case = f' ({row["case"]})' if 'case' in row else ''
-            where = f'from frame {row["first_bad_frame"]}, node {row["first_bad_node"]}'
+            where = f'from frame {row["first_bad_frame"]}'
+            if row['first_bad_node'] >= 0:
+                where += f', node {row["first_bad_node"]}'
             lines.append(
                 f'warning: record {row["record"]}{case} is {row["status"]} {where}: '
                 f'{row["status_reason"]}'

@@ -115,6 +115,7 @@ def test_summary_counts_by_run_and_kind(judged):
     text = tables.table(summary)
     for part in ('3 ok, 1 non_finite', 'cut, persistence', 'under its load', 'soil_mm 3 of 4'):
         assert part in text
+    assert 'non_finite from frame 0: refused' in text  # a soil field has no nodes
 
 
 def test_a_refused_run_is_no_number_and_stops_no_other(judged):
