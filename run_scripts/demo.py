@@ -206,7 +206,9 @@ def main(values, _) -> None:
     """
     started = time.perf_counter()
     out = os.path.abspath(values.output_path)
-    chosen = [scenes.scene_named(name) for name in values.scenes]
+    if unknown := sorted(set(values.scenes) - set(scenes.SCENES)):
+        raise ValueError(f'unknown scenes {unknown}; there are {sorted(scenes.SCENES)}')
+    chosen = [scenes.SCENES[name] for name in values.scenes]
     names = values.cases or [CASES[scene.name] for scene in chosen]
     if len(names) != len(chosen):
         raise ValueError(f'{len(names)} cases for {len(chosen)} scenes')
