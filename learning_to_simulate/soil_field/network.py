@@ -1,21 +1,7 @@
 """The three networks of a soil field, all members at once, and what they see and say; TensorFlow.
 
-A frame holds J strips with n bins each (`strips`, `sweep`). With f, n, b outputs of networks, I, D
-and A of the sweep, w the width of the tool and s the terrain before it (numbers of
-docs/soil_field.md):
-
-  contact     kappa = clip((HEAP sqrt(max(A, C)) + ABOVE - (h - rho - s_max)) / RAMP, 0, 1), C
-              what is carried (`passage`), s_max the highest terrain about the tool           (10)
-  of a strip  with its neighbour on one side: (F_u, F_y, T, F_side) =
-              kappa w / J (FORCE, FORCE, TORQUE, FORCE) exp(clip(b, -4, 4)) n / WIDTH         (11)
-              of a wheel F_u, F_side = F_y n and T = F_y R n: it bears what weighs on it
-  load        F_u, F_y, T: sums over strips of the mean of both sides; the force across is the sum
-              of F_side of the left minus the right sides; torques along and up follow from the
-              lever of each strip                                                             (12)
-  stirred     g = I clip(way / STIR, 0, 1) clip((w/2 + BESIDE - |z|) / BESIDE_RAMP, 0, 1)     (13)
-  surface     rises by g LENGTH f                                                             (14)
-  particle    moves by g clip((D + BELOW - (s - y)) / BELOW_RAMP, 0, 1) LENGTH
-              (1, 1, clip(z / ACROSS, -1, 1)) f                                               (15)
+A frame holds J strips with n bins each (`strips`, `sweep`). Contact and load of strips and tool are
+(10) to (12) of docs/soil_field.md, what the surface and a particle do (13) to (15).
 
 No load acts in the air, soil far from all that was swept rests to the last bit, and nothing jumps
 where a passage begins.

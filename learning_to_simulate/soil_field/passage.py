@@ -28,16 +28,9 @@ class Passage:
     heights of the terrain are kept as the tool has left them by now. A `copy.copy` may go on to try
     a step and be dropped: it shares what is known of cells. `clone` is for another terrain.
 
-    Soil is kept: with d the cells that the bins have left, a the area of a cell, r what cells have
-    risen, and w the width of the tool,
-
-      carried      C = all that was cut - sum over d of r a / w - what was cut there         (19)
-      rise         r = r' where r' < 0, else r' (sum |r'-| - sum over d of r) / sum r'+,     (20)
-
-    r' of the network and sums over cells in sight; the factor lies within that of the
-    tool. What a chunk of cells changes in C as it leaves comes in over the next `GRID.chunk` bins
-    of way. A tool that is lifted over the terrain before it moves no soil: heights stay as they
-    were when it left.
+    Soil is kept by (19) and (20) of docs/soil_field.md. What a chunk of cells changes in C (19) as
+    it leaves comes in over the next `GRID.chunk` bins of way. A tool that is lifted over the
+    terrain before it moves no soil: heights stay as they were when it left.
 
     Args:
       terrain: is changed, if `rise` is given.

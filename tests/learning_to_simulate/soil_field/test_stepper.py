@@ -3,18 +3,12 @@
 import numpy as np
 import pytest
 
-from learning_to_simulate.live.poses import turned
-from learning_to_simulate.soil_field import network
 from learning_to_simulate.soil_field.place import place_of
 from learning_to_simulate.soil_field.stepper import SoilStepper
 from learning_to_simulate.soil_field.terrain import Terrain
 from learning_to_simulate.soil_field.tools import Wheel
 from tests.learning_to_simulate.soil_field import worlds
-from tests.learning_to_simulate.soil_field.scenes import DT, poses
-
-IN_AIR = [0.0, 0.2, 0.1]
-AWAY = (0.0, 0.0, 1.2)  # from what was cut before
-END = worlds.path(3)[-1]
+from tests.learning_to_simulate.soil_field.scenes import poses
 
 
 def stepper(terrain=None, **more):
@@ -53,64 +47,6 @@ def test_the_next_tool_meets_what_the_last_has_left():
     aside = np.array([frame.force for frame in driven(stepper(terrain), shift=(0, 0, 0.68))])
     assert np.linalg.norm(again - first) > 0.1 * np.linalg.norm(first)
     np.testing.assert_allclose(aside, first, atol=0.02 * np.abs(first).max())
-
-
-def test_yaw_in_the_soil_is_flagged_and_free_in_the_air():
-    tool = stepper()
-    driven(tool)
-    place = tool.place
-    frame = tool.step(poses([IN_AIR])[0], dt=0.5)
-    assert not frame.force.any() and frame.now.status == 'ok'
-    turn = poses([IN_AIR], yaw=0.8, shift=AWAY)[0]
-    frame = tool.step(turn, dt=0.5)
-    assert frame.now.status == 'ok' and tool.place is not place
-    np.testing.assert_allclose(tool.place.turns(turn)[1:], 0.0, atol=1e-12)
-    down = poses([[0.0, worlds.TOOL.radius - 0.03, 0.1]], yaw=0.8, shift=AWAY)[0]
-    frame = tool.step(down, dt=0.5)
-    assert frame.force.any()
-    yawed = np.append(down[:3], turned(down[3:], [0.0, 0.2, 0.0]))
-    frame = tool.step(yawed, dt=DT)
-    assert frame.status == 'extrapolating' and 'yaw' in frame.reason
-
-
-def test_a_tool_clear_of_its_heap_bears_nothing_and_goes_where_it_likes():
-    tool = stepper(engine='tensorflow')
-    driven(tool)
-    place, (u, _, lean) = tool.place, END
-    up = [u, worlds.TOOL.radius + worlds.HEAP + network.ABOVE + network.RAMP + 0.006, lean]
-    # As far as the network of the load knows, a heap may stand higher.
-    kappa = tool.field.networks.load_inputs
-    frame = tool.step(poses([up])[0], dt=0.5)
-    passage = tool._engine._passage
-    assert float(kappa(*passage.frame)[2].numpy().max()) == 1
-    assert not (frame.force.any() or frame.torque.any() or frame.spread.any())
-    assert frame.now.status == 'ok'
-    aside = tool.step(poses([up], shift=(0.0, 0.0, 0.04))[0], dt=0.5)
-    assert aside.now.status == 'ok' and tool.place is not place
-    # Within its heap it bears a load, and none of it comes at once.
-    low = stepper(engine='tensorflow')
-    driven(low)
-    shares = []
-    for height in np.linspace(0.0, up[1], 40):
-        frame = low.step(poses([[u, height, lean]])[0], dt=0.5)
-        bears = frame.force.any()  # else the passage may be another
-        shares.append(low.field.contact(low._engine._passage) if bears else 0.0)
-    assert shares[0] == 1 and shares[-1] == 0 and np.diff(shares).max() <= 0
-    assert ((np.array(shares) > 0) & (np.array(shares) < 1)).sum() >= 2
-
-
-@pytest.mark.parametrize('engine', ['c', 'tensorflow'])
-def test_looking_at_the_terrain_changes_nothing_where_two_tools_reach_each_other(engine):
-    ground, way = Terrain.flat((3.0, 2.0), corner=(-1.5, -1.0)), worlds.path(3)
-    tools = [stepper(ground, engine=engine) for _ in range(2)]
-    for pose in poses(way):
-        for k, tool in enumerate(tools):
-            there = pose + [0.0, 0.0, 0.35 * k, 0.0, 0.0, 0.0, 0.0]
-            tool.start(there) if tool._frame is None else tool.step(there)
-    seen = [ground.heights.copy() for _ in range(3)]
-    assert seen[0].min() < -0.01
-    np.testing.assert_array_equal(seen[1], seen[0])
-    np.testing.assert_array_equal(seen[2], seen[0])
 
 
 def test_soil_rests_no_steeper_than_its_angle_of_repose_where_the_tool_has_gone():
