@@ -297,16 +297,19 @@ class TerrainModel(TrainedModel):
             f'`model.stepper(lts.Terrain(...))`'
         )
 
-    def stepper(self, terrain=None, tool=None, members: int | None = None):  # type: ignore[override]
+    def stepper(  # type: ignore[override]
+        self, terrain=None, tool=None, members: int | None = None, engine: str = 'best'
+    ):
         """A `soil_field.stepper.SoilStepper`; `start` and `step` it with poses.
 
         Args:
           terrain: `Terrain`, which the tool changes; several steppers may work on one.
           tool: `Blade` or `Wheel`, of the kind that the model knows; None for the usual one.
           members: networks that answer, of those that were trained; None: all.
+          engine: 'best', or 'c' or 'tensorflow' alone.
 
         Raises:
-          ValueError: no terrain, a tool of another kind, too many members.
+          ValueError: no terrain, a tool of another kind, too many members, an unknown engine.
         """
         from learning_to_simulate.soil_field.stepper import SoilStepper
         from learning_to_simulate.soil_field.terrain import Terrain
@@ -316,7 +319,7 @@ class TerrainModel(TrainedModel):
                 f'terrain is {terrain!r}: an lts.Terrain was expected, such as '
                 f'model.stepper(lts.Terrain.flat((12.0, 3.0), height=0.25))'
             )
-        return SoilStepper(self.model, terrain, tool, members)
+        return SoilStepper(self.model, terrain, tool, members, engine)
 
     def rollout(  # type: ignore[override]
         self, path, terrain=None, tool=None, dt: float | None = None, under_load: bool = False

@@ -4,6 +4,7 @@
 """
 
 import copy
+import numbers
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -71,7 +72,7 @@ def refuse_floor(pose, tool, terrain) -> None:
 
 def refuse_step(pose, last, dt, tool, terrain) -> None:
     """Raises ValueError for a step from a pose to another that no tool makes within dt s."""
-    if not 0 < dt < np.inf:
+    if not (isinstance(dt, numbers.Real) and 0 < dt < np.inf):
         raise ValueError(f'dt is {dt} s: time must go on')
     speed = np.linalg.norm(pose[:3] - last[:3]) / dt
     turn = 2 * np.arccos(min(abs(float(pose[3:] @ last[3:])), 1.0)) / dt

@@ -76,9 +76,13 @@ def place_of(pose) -> Place:
 def checked_pose(pose) -> np.ndarray:
     """A pose [7] as float64; ValueError for another shape, values that are not finite, or a
     quaternion that is not of length 1 (to 1e-3)."""
-    pose = np.asarray(pose, np.float64)
-    if pose.shape != (7,) or not np.isfinite(pose).all():
+    try:
+        found = np.asarray(pose, np.float64)
+    except (TypeError, ValueError):
+        found = np.zeros(0)
+    if found.shape != (7,) or not np.isfinite(found).all():
         raise ValueError(f'pose is {pose}, place in m and unit quaternion [7] were expected')
+    pose = found
     if abs(np.linalg.norm(pose[3:]) - 1.0) > 1e-3:
         raise ValueError(f'quaternion {pose[3:]} (w, x, y, z) must have length 1')
     return pose

@@ -44,12 +44,17 @@ class SoilStepper:
         if not isinstance(self.tool, kind):
             given = getattr(self.tool, 'name', type(self.tool).__name__)
             raise ValueError(f'the model knows a {kind.name}, not a {given}')
-        if members is not None and not 1 <= members <= field.networks.members:
+        if members is not None and members not in range(1, field.networks.members + 1):
             raise ValueError(f'members is {members}, must lie in [1, {field.networks.members}]')
-        self.field, self.terrain = field, terrain
+        self.field, self._terrain = field, terrain
         self._engine = soil_engine.of(field, terrain, self.tool, members, engine)
         self._frame: Any = None
         self._tracer: Any = None
+
+    @property
+    def terrain(self) -> Terrain:
+        """What the tool works on; another one takes another stepper."""
+        return self._terrain
 
     @property
     def engine(self) -> str:
@@ -114,7 +119,7 @@ class SoilStepper:
     def clone(self) -> 'SoilStepper':
         """A stepper of its own at the same point, on a terrain of its own."""
         other = copy.copy(self)
-        other.terrain = self.terrain.clone()
+        other._terrain = self.terrain.clone()
         other._engine = self._engine.clone(other.terrain)
         if self._tracer is not None:
             other._tracer = self._tracer.clone(other._engine, other.terrain)

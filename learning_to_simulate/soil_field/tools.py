@@ -12,6 +12,7 @@ sinks farther before the soil yields. A wheel knows the logarithm of rho g scale
 
 import abc
 import dataclasses
+import numbers
 from typing import ClassVar
 
 import numpy as np
@@ -197,7 +198,6 @@ TOOLS = {tool.name: tool for tool in (Blade, Wheel)}
 
 def _check_positive(owner, *names):
     for name in names:
-        if not 0 < getattr(owner, name) < np.inf:
-            raise ValueError(
-                f'{type(owner).__name__}.{name} must be positive, got {getattr(owner, name)}'
-            )
+        value = getattr(owner, name)
+        if not (isinstance(value, numbers.Real) and 0 < value < np.inf):
+            raise ValueError(f'{type(owner).__name__}.{name} must be positive, got {value!r}')

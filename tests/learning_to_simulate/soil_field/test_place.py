@@ -61,6 +61,8 @@ def test_lean_yaw_and_roll_have_their_signs():
         ([0, 0, 0, 0, 0, 0, 0], 'length 1'),
         ([0, 0, 0, 2.0, 0, 0, 0], 'length 1'),
         ([0, 0, 0], 'expected'),
+        ([[0, 0, 0], [1, 0, 0, 0]], 'expected'),
+        (list('abcdefg'), 'expected'),
     ],
 )
 def test_what_is_no_pose_is_refused(pose, message):

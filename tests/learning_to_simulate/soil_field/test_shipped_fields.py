@@ -59,6 +59,11 @@ def lifted(tool, height=0.5):
     return tool.terrain.heights.copy()
 
 
+def test_an_engine_can_be_chosen(name):
+    tool = model(name).stepper(ground(), TOOLS[name], engine='tensorflow')
+    assert tool.engine == 'TensorFlow'
+
+
 def test_a_lifted_tool_leaves_its_trench_and_its_heap(name):
     """What slides as it leaves is a part; nothing comes back from high above."""
     soil = ground()

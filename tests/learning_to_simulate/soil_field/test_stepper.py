@@ -66,5 +66,12 @@ def test_what_a_field_does_not_have_is_refused():
     """Poses and times are refused in `native/test_soil_engine`, in the words of both engines."""
     with pytest.raises(ValueError, match='knows a blade, not a wheel'):
         SoilStepper(worlds.trained()[0], Terrain.flat((1.0, 1.0)), Wheel())
-    with pytest.raises(ValueError, match=r'members is 3, must lie in \[1, 2\]'):
-        stepper(members=3)
+    for members in (3, 1.5):
+        with pytest.raises(ValueError, match=rf'members is {members}, must lie in \[1, 2\]'):
+            stepper(members=members)
+    with pytest.raises(AttributeError):
+        stepper().terrain = Terrain.flat((1.0, 1.0))
+    tool, pose = stepper(), poses([IN_AIR])[0]
+    tool.start(pose)
+    with pytest.raises(ValueError, match='dt is soon s'):
+        tool.step(pose, dt='soon')

@@ -44,7 +44,7 @@ def test_turns():
         (Soil, {'friction_angle_deg': 90.0}), (Soil, {'density': 0.0}),
         (Soil, {'gravity': np.nan}), (Blade, {'width': -1.0}), (Blade, {'radius': np.inf}),
         (Blade, {'length': 0.0}), (Blade, {'bucket': 0.5}), (Wheel, {'radius': 0.0}),
-        (Wheel, {'lugs': -1}), (Wheel, {'lug_height': np.nan}),
+        (Wheel, {'lugs': -1}), (Wheel, {'lug_height': np.nan}), (Blade, {'width': 'wide'}),
     ],
 )  # fmt: skip
 def test_values_that_nothing_has_are_refused(kind, values):
