@@ -31,7 +31,6 @@ class Experiment:
 
     @property
     def grid(self) -> Grid:
-        """The background grid."""
         return self.solver.grid
 
     @property

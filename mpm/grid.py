@@ -31,7 +31,6 @@ class Grid(NamedTuple):
 
     @property
     def nodes(self) -> int:
-        """Number of nodes."""
         return self.shape[0] * self.shape[1] * self.shape[2]
 
     @property

@@ -45,7 +45,6 @@ def outline(body, pose) -> np.ndarray:
 
 
 def _rim(body):
-    """The rim of a wheel with its grousers, from below on."""
     turn = np.linspace(-np.pi / 2, 3 * np.pi / 2, max(2 * POINTS, 8 * body.grousers + 1))
     reach = np.full(len(turn), body.radius)
     if body.grousers:

@@ -26,7 +26,6 @@ def file_name(case: int | str) -> str:
 
 
 def write_run(folder: str, run: RawRun) -> dict:
-    """Writes one run and returns its entry of the manifest."""
     case = run.parameters['case']
     path = os.path.join(folder, file_name(case))
     write_npz(path, **arrays_of(run), parameters=np.array(json.dumps(run.parameters)))

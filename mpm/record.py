@@ -134,7 +134,6 @@ def digests_of(folder: str) -> dict[str, str]:
 
 
 def compare(found: dict[str, str], expected: dict[str, str]) -> list[str]:
-    """Returns the ids of the runs that both hold and whose content differs."""
     return sorted(case for case in found.keys() & expected.keys() if found[case] != expected[case])
 
 

@@ -63,7 +63,6 @@ class Scene:
 
     @property
     def case_count(self) -> int:
-        """Of the whole grid."""
         return math.prod(len(values) for values in self.levels.values())
 
     def parameters(self, case: int) -> dict:

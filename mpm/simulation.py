@@ -200,7 +200,6 @@ class Simulation:
         self._block, self._age = self._solver.block(q[self._awake]), 0
 
     def _put_back(self) -> None:
-        """Brings the rows of the particles up to date with those that were stepped."""
         if self._block is not None:
             self._particles[self._awake] = self._block.particles
 

@@ -242,7 +242,6 @@ def keep_elastic(block, n):
 
 @numba.njit(inline='always', **JIT)
 def return_elastic(block, n):
-    """The particle gets its stress and strain back."""
     at = elastic_place(n)
     for number in range(6):
         block.particles[n, S + number] = block.elastic[row(at, number)]

@@ -170,7 +170,6 @@ def _check_nodes(found: Inspection) -> None:
 
 
 def _check_frames(found: Inspection) -> None:
-    """Frames that repeat, and keys that do not count."""
     runs = found.runs
     if repeated := sum(np.array_equal(run.position[0], run.position[1]) for run in runs):
         found.warn(
@@ -275,7 +274,6 @@ def _check_statistics(found: Inspection) -> None:
 
 
 def _check_motion(found: Inspection) -> None:
-    """Time step, speed and rigidity of the body."""
     dt = found.metadata['dt']
     if not PLAUSIBLE_DT[0] <= dt <= PLAUSIBLE_DT[1]:
         found.error(f'dt is {dt} s per frame, outside {PLAUSIBLE_DT}; is it in frames per second?')
@@ -341,7 +339,6 @@ def _check_truncation(found: Inspection) -> None:
 
 
 def _check_kept(found: Inspection, kind: type[PackedRuns]) -> None:
-    """The files of one kind beside the records."""
     good, low, high = [], math.inf, -math.inf
     for split, runs in found.splits.items():
         path = kind.path_of(found.folder, split)
@@ -364,7 +361,6 @@ def _check_kept(found: Inspection, kind: type[PackedRuns]) -> None:
 
 
 def _check_subspace(found: Inspection) -> None:
-    """`subspace.npz` against metadata and splits."""
     held = found.metadata
     name = held.get('pca', {}).get('file')
     if name is None:
@@ -397,7 +393,6 @@ def _check_subspace(found: Inspection) -> None:
 
 
 def _check_pickles(found: Inspection) -> None:
-    """The authors' pickles beside their records."""
     vectors, values = (
         os.path.join(found.folder, name)
         for name in (legacy_pickles.EIGENVECTORS_NAME, legacy_pickles.EIGENVALUES_NAME)
@@ -415,7 +410,6 @@ def _check_pickles(found: Inspection) -> None:
 
 
 def report(found: Inspection) -> str:
-    """Returns the report of `inspect_folder` as text: contents, ranges, floors, findings."""
     blocks = [found.folder]
     if found.metadata is not None:
         blocks += [_contents(found), _floors(found)]
@@ -488,7 +482,6 @@ def _kinds(found: Inspection) -> str:
 
 
 def _ranges(found: Inspection) -> str:
-    """Smallest and largest values over all runs."""
     runs = found.runs
     series = {
         'rigid position [m]': [run.position[:, : run.n_rigid] for run in runs],
@@ -533,7 +526,6 @@ def _trivial(found: Inspection) -> str:
 
 
 def _floors(found: Inspection) -> str:
-    """Truncation error against the number of modes, by split."""
     held = found.metadata.get('projection_floors')
     if not isinstance(held, dict) or not isinstance(held.get('modes'), list):
         return ''

@@ -193,7 +193,6 @@ def scene_problems(scene: Any) -> list[str]:
 
 
 def _disagreements(metadata: dict[str, Any]) -> list[str]:
-    """What a scene says that the other metadata do not."""
     scene, problems = metadata['scene'], []
     names, context = scene.get('context_names', []), metadata.get('context_mean', [])
     if len(names) != len(context):

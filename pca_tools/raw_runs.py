@@ -58,7 +58,6 @@ class RawRun(FrameSeries):
 
     @property
     def grid(self) -> Grid | None:
-        """Where the map of heights lies."""
         return heights.grid_of(self.parameters, self.heights)
 
 
@@ -90,7 +89,6 @@ class RawRuns(Sequence):
 
     @property
     def world(self) -> dict[str, Any]:
-        """What all runs share."""
         return {'scene': self.scene, 'bounds': self.bounds, 'dt': self.dt}
 
     def __len__(self) -> int:
@@ -342,7 +340,6 @@ class Extent:
     def add(
         self, positions: np.ndarray, rigid_positions: np.ndarray, dt: float, reach: float = 0.0
     ) -> None:
-        """Takes in one run; arrays as of `RawRun`."""
         self.reach = max(self.reach, reach)
         first = np.asarray(positions[0], np.float64)
         self.low = np.minimum(self.low, first.min(axis=0))

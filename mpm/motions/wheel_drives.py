@@ -107,7 +107,6 @@ def _draw_wheel(rng, has_grousers) -> dict:
 
 
 def _draw(rng, scene, kind, wheel, mean_load, context) -> tuple[Drive, dict]:
-    """One drive, which may leave the bin."""
     box, story = scene.bin, _Story(rng)
     start_x = grid.WHEEL_START_X - rng.choice([0.0, rng.uniform(0.0, 0.06)])
     plot = kind

@@ -161,7 +161,6 @@ MEASURED = {
 
 
 def wheel_table(path: str) -> str:
-    """Returns the wheels, measured beside published, as Markdown."""
     rows = []
     for name, runs in read_kept(path).get('wheels', {}).items():
         wheel = WHEELS[name]
@@ -175,7 +174,6 @@ def wheel_table(path: str) -> str:
 
 
 def ball_table(path: str) -> str:
-    """Returns the ball's depth, measured beside published, as Markdown."""
     rows = [
         (f'{1e3 * float(drop):g}', f'{found["depth_mm"]:.1f}', f'{found["published_mm"]:.1f}')
         for drop, found in read_kept(path).get('balls', {}).items()
@@ -201,7 +199,6 @@ def draw(path: str, output: str) -> None:
 
 
 def jobs(values=None) -> Jobs:
-    """Returns what there is to make."""
     found: Jobs = {('balls', str(drop)): partial(dropped, drop) for drop in DROPS}
     for name, wheel in WHEELS.items():
         for slip in wheel.slips:

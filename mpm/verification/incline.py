@@ -97,7 +97,6 @@ class Incline:
     """A layer of soil, periodic along x and z, on a rough floor, the only wall of its grid."""
 
     def __init__(self, box: Bin, soil: Soil):
-        """Settles the layer of a bin (`layer_bin`)."""
         walls = (-NO_WALL, NO_WALL, PAD, -NO_WALL, NO_WALL, 0)
         self.grid: Grid = make_grid(box)._replace(walls=walls)
         self.soil, self.depth = soil, box.size[1]  # m, as packed
@@ -153,7 +152,6 @@ class Incline:
         self.wrap()
 
     def wrap(self) -> None:
-        """Brings particles beyond an end back in at the other."""
         across = self.particles[:, [0, 2]] - CORNER
         self.particles[:, [0, 2]] = CORNER + np.mod(across, self.period)
 

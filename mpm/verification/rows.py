@@ -40,7 +40,6 @@ class Check:
 
 
 def checks_of(content: dict) -> list[dict]:
-    """Returns the checks that a file keeps, in order."""
     return [row for entry in content.get('entries', {}).values() for row in entry['checks']]
 
 

@@ -24,7 +24,6 @@ _SHARED = ('dt', 'bounds', 'up_axis', 'rigid_motion')
 
 
 def run_files(folder: str) -> list[str]:
-    """Returns the names of the `.npz` files of a folder, in order."""
     return sorted(name for name in os.listdir(folder) if name.endswith('.npz'))
 
 

@@ -79,7 +79,6 @@ def _owner(handle: int) -> str:
 
 
 def _is_open_file(path: str, handle: int) -> bool:
-    """Whether a path still leads to the open file."""
     try:
         there, here = os.stat(path, follow_symlinks=False), os.fstat(handle)
     except OSError:
