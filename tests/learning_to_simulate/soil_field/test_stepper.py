@@ -71,7 +71,7 @@ def test_what_a_field_does_not_have_is_refused():
             stepper(members=members)
     with pytest.raises(AttributeError):
         stepper().terrain = Terrain.flat((1.0, 1.0))
-    tool, pose = stepper(), poses([IN_AIR])[0]
+    tool, pose = stepper(), poses([[0.0, 0.2, 0.1]])[0]
     tool.start(pose)
     with pytest.raises(ValueError, match='dt is soon s'):
         tool.step(pose, dt='soon')
