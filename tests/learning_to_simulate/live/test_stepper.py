@@ -9,17 +9,11 @@ import pytest
 from learning_to_simulate.live.stepper import Stepper
 from learning_to_simulate.native import library
 from learning_to_simulate.rollout_status import RolloutStatus
-from pca_tools import subspace
-from tests.learning_to_simulate import models, synthetic
-from tests.learning_to_simulate.native.worlds import needs_c
+from tests.learning_to_simulate import models
+from tests.learning_to_simulate.native.worlds import needs_c, space
 
 H = 6
 KINDS = ['tensorflow', pytest.param('c', marks=needs_c)]
-
-
-def _space(n_soil=synthetic.N_SOIL, n_modes=synthetic.N_MODES):
-    runs = [np.random.default_rng(0).normal(size=(9, n_soil, 3))]
-    return subspace.fit(runs, n_modes)
 
 
 @pytest.fixture(scope='module')
@@ -36,7 +30,7 @@ def steppers(made):
 
     def stepper(kind):
         if kind not in found:
-            found[kind] = models.stepper(made[0], made[1].n_rigid, _space(), kind)
+            found[kind] = models.stepper(made[0], made[1].n_rigid, space(), kind)
         return found[kind]
 
     return stepper
@@ -72,7 +66,7 @@ def test_equals_the_rollout_frame_by_frame(tmp_path, case):
     has_c = not case.startswith('path')
     kinds = ['best'] if has_c and library.shutil.which('cc') else []
     for kind in kinds if case in BY_C else ['tensorflow', *kinds]:
-        stepper = models.stepper(model, n, _space(), kind)
+        stepper = models.stepper(model, n, space(), kind)
         assert stepper.engine.startswith('C (' if kind == 'best' else 'TensorFlow')
         _reset(stepper, group)
         for k, truth in enumerate(group.position[0, H:, :n]):
@@ -85,7 +79,7 @@ def test_equals_the_rollout_frame_by_frame(tmp_path, case):
                 continue
             largest = np.ptp(expected.force, axis=1).max()
             np.testing.assert_allclose(frame.force, expected.force[0, k], atol=2e-3 * largest)
-        np.testing.assert_allclose(frame.particles(), _space().decode(frame.modes), atol=1e-4)
+        np.testing.assert_allclose(frame.particles(), space().decode(frame.modes), atol=1e-4)
         assert frame.judgement[:3] == expected.judgements[0][:3]
     if not has_c:
         assert 'TensorFlow (the model has inputs' in models.stepper(model, n, kind='best').engine
@@ -167,9 +161,9 @@ def test_holds_or_raises_as_it_is_told(made, steppers):
 
 def test_a_subspace_of_other_modes_or_particles_is_refused(made):
     model, group = made
-    for space in (_space(n_modes=2), _space(n_soil=20)):
+    for other in (space(n_modes=2), space(n_soil=20)):
         with pytest.raises(ValueError, match='the subspace has'):
-            models.stepper(model, group.n_rigid, space)
+            models.stepper(model, group.n_rigid, other)
 
 
 def test_before_the_start_nothing_is_answered(made, steppers):

@@ -31,10 +31,9 @@ class Graph(NamedTuple):
     values: dict
 
 
-def space() -> subspace.Subspace:
-    """The subspace of all graphs here."""
-    runs = [np.random.default_rng(0).normal(size=(9, synthetic.N_SOIL, 3))]
-    return subspace.fit(runs, synthetic.N_MODES)
+def space(n_soil=synthetic.N_SOIL, n_modes=synthetic.N_MODES) -> subspace.Subspace:
+    """The subspace of all graphs here, or one of other sizes."""
+    return subspace.fit([np.random.default_rng(0).normal(size=(9, n_soil, 3))], n_modes)
 
 
 def graph(folder, **case) -> Graph:

@@ -1,4 +1,5 @@
-"""One step of every network against numpy twins, and what must hold for any weights."""
+"""One step of every network, in TensorFlow and in C, against numpy twins, and what must hold for
+any weights."""
 
 import graph_nets as gn
 import numpy as np
@@ -6,8 +7,11 @@ import pytest
 import tensorflow as tf
 
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
+from learning_to_simulate.native import library
+from learning_to_simulate.native.binding import KERNELS, CSubspace, KernelLacks
 from learning_to_simulate.subspace import graph_network, learned_simulator
 from tests.learning_to_simulate import models
+from tests.learning_to_simulate.native import worlds
 from tests.learning_to_simulate.twins.numpy_twin import Twin
 from tests.learning_to_simulate.twins.whole_state_twin import WholeStateTwin
 
@@ -19,16 +23,29 @@ CASES = {
     'pcg': {},
     'pcg, all velocities': {'overrides': {'velocity_inputs': 5}},
     'pcg, second order': {'overrides': SECOND_ORDER},
+    'pcg, three steps': {'overrides': {'message_passing_steps': 3, 'latent_size': 20}},
+    'pcg, contact': {'contact': True},
     'pcg, driven': DRIVEN,
+    'pcg, driven, second order, two steps': {
+        'motion': 'driven',
+        'overrides': SECOND_ORDER | {'message_passing_steps': 2},
+    },
     'pcg, driven, changing context': DRIVEN | {'context': 'changing'},
-    'pcg, predicted': {'motion': 'predicted'},
+    'pcg, predicted': {'motion': 'predicted', 'rigid_counts': (6,)},
     'pcg_thesis': {'preset': 'pcg_thesis'},
+    'pcg_thesis, predicted': {'preset': 'pcg_thesis', 'motion': 'predicted', 'context': True},
     'pcg_thesis, driven': {'preset': 'pcg_thesis', 'rigid_motion': 'driven'} | DRIVEN,
     'fcg_original, two steps': {
         'preset': 'fcg_original',
         'overrides': {'message_passing_steps': 2},
     },
     'fcg_original, predicted': {'preset': 'fcg_original', 'motion': 'predicted'},
+    'mlp, contact': {'preset': 'mlp', 'contact': True},
+    'mlp, deeper': {
+        'preset': 'mlp',
+        'overrides': {'velocity_inputs': 3, 'hidden_layers': 3},
+    }
+    | DRIVEN,
 } | {
     f'{preset}, {name}': {'preset': preset, 'shaken': 0.3} | data
     for preset in ('mlp', 'mixer_se', 'mixer_scse')
@@ -45,14 +62,43 @@ def test_step_equals_the_numpy_twin(case, tmp_path):
     model, (group,), _ = models.make(tmp_path, **case)
     (position,), (load,) = models.steps(model, group, run=1)
     twin = Twin if model.simulator.config.has_graph else WholeStateTwin
+    twin = twin(model, group.n_rigid)
     history, body = group.position[1, :H], group.position[1, H, : group.n_rigid]
-    expected, expected_load = twin(model, group.n_rigid).step(history, body, group.context_at(H, 1))
+    expected, expected_load = twin.step(history, body, group.context_at(H, 1))
     # Measured over the cases: displacements 4e-6 of their range, force 3e-6; float32 round-off of
     # sums over about 100 terms. Ten times that.
     before = history[-1]
     moved = np.abs(expected - before).max()
     np.testing.assert_allclose(position - before, expected - before, atol=4e-5 * moved)
     np.testing.assert_allclose(load, expected_load, atol=3e-5 * np.abs(expected_load).max())
+    if not model.simulator.config.model.startswith('mixer') and library.shutil.which('cc'):
+        assert_c(model, group, twin)
+
+
+def assert_c(model, group, twin):
+    """Single steps from recorded frames by every kernel; whole rollouts, with the driven height and
+    the rigid correction, are compared in `live/test_stepper`."""
+    n, known, space = group.n_rigid, model.simulator.scene.rigid_motion.is_known, worlds.space()
+    for kernel in KERNELS:
+        try:
+            stepper = CSubspace.of(model, n, kernel, subspace=space, rigid_correction=False)
+        except KernelLacks:
+            continue
+        assert stepper.kernel == kernel
+        for k in (H, H + 1, 20):
+            history, body = group.position[1, k - H : k], group.position[1, k, :n]
+            context = group.context_at(k, 1)
+            expected, force = twin.step(history, body, context)
+            stepper.reset(history, context)
+            frame = stepper.step(body if known else None)
+            moved = np.abs(expected - history[-1]).max()
+            got = np.concatenate([frame.rigid_pose, frame.modes])
+            # Measured 2e-6 of the displacement: float32 sums, and offsets of 1 m that keep 1e-7.
+            np.testing.assert_allclose(got, expected, atol=2e-5 * moved + 1e-7)
+            np.testing.assert_allclose(frame.force, force, atol=1e-5 * np.abs(force).max())
+            # Of every column: the last panel of a kernel is not full.
+            found, decoded = stepper.particles(), space.decode(frame.modes)
+            np.testing.assert_allclose(found, decoded, atol=2e-6 * np.abs(decoded).max())
 
 
 @pytest.mark.parametrize(

@@ -10,8 +10,9 @@ from learning_to_simulate import (
     reading_utils,
     registry,
 )
-from pca_tools import dataset, files, subspace
+from pca_tools import dataset, files
 from tests.learning_to_simulate import models, synthetic
+from tests.learning_to_simulate.native import worlds
 
 H = 6
 TWO_MODES = {'overrides': {'modes': 2, 'mode_edges': 4}}
@@ -44,7 +45,7 @@ def test_fewer_modes_are_judged_against_all_of_the_dataset(tmp_path):
 
 def test_fewer_modes_make_particles_and_are_loaded_again(tmp_path):
     model, (group, *_), metadata = models.make(tmp_path / 'data', **TWO_MODES)
-    space = subspace.fit([np.random.default_rng(0).normal(size=(9, synthetic.N_SOIL, 3))], 3)
+    space = worlds.space()
     stepper = models.stepper(model, group.n_rigid, space)
     stepper.reset(group.position[0, :H])
     modes = stepper.step(group.position[0, H, : group.n_rigid]).modes
