@@ -127,11 +127,12 @@ IMPORTS_WITHOUT = [
 # Tests of something that goes through several modules, or that are no Python.
 TESTS_OF_NO_ONE_MODULE = {
     'learning_to_simulate/native/test_c_faults.py',
+    'learning_to_simulate/native/test_ros2_node.py',
+    'learning_to_simulate/soil_field/test_shipped_fields.py',
     'learning_to_simulate/subspace/test_changing_context.py',
-    'learning_to_simulate/subspace/test_several_bodies.py',
     'learning_to_simulate/subspace/test_left_out.py',
     'learning_to_simulate/subspace/test_numerics.py',
-    'learning_to_simulate/native/test_ros2_node.py',
+    'learning_to_simulate/subspace/test_several_bodies.py',
     'mpm/motions/test_data_of_record.py',
     'reports/test_main.py',
 }  # fmt: skip

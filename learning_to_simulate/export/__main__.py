@@ -23,12 +23,14 @@ Examples:
 
 from absl import flags
 
-from learning_to_simulate import command
+from learning_to_simulate import command, shipped
 from learning_to_simulate.export.exporting import FORMATS, export, summary
 
 
 def define_flags() -> None:
-    flags.DEFINE_string('model_path', None, 'Trained model.', required=True)
+    flags.DEFINE_string(
+        'model_path', None, 'Trained model: a path or a shipped name.', required=True
+    )
     flags.DEFINE_string('data_path', None, 'Dataset folder of the model; a page needs none.')
     flags.DEFINE_string(
         'output_path', None, 'Folder (page: file) to write; absent or empty.', required=True
@@ -45,10 +47,10 @@ def run(values) -> None:
         return
     if values.data_path is None:
         raise ValueError(f'--data_path is missing: --format={values.format} is compared on it')
+    model = shipped.find(values.model_path, 'models')
+    data = shipped.find(values.data_path, 'datasets')
     command.import_tensorflow()
-    description = export(
-        values.model_path, values.data_path, values.output_path, values.format, values.n_tools
-    )
+    description = export(model, data, values.output_path, values.format, values.n_tools)
     print(summary(description, values.output_path))
 
 

@@ -3,11 +3,13 @@
 import json
 import subprocess
 import sys
+import types
 
 import numpy as np
 import pytest
 
 from learning_to_simulate import registry, rollout
+from learning_to_simulate.export import __main__ as command_of_export
 from learning_to_simulate.export import exporting
 from pca_tools import subspace
 from tests.learning_to_simulate import models, synthetic
@@ -111,3 +113,14 @@ def test_bad_input_leaves_nothing_behind(tmp_path, monkeypatch):
     (out / 'mine').write_text('keep')
     with pytest.raises(ValueError, match='not empty'):
         exporting.export(model_path, data, str(out), 'tflite')
+
+
+def test_the_command_takes_shipped_names(monkeypatch, tmp_path):
+    asked = []
+    monkeypatch.setattr(command_of_export, 'export', lambda *given: asked.extend(given))
+    monkeypatch.setattr(command_of_export, 'summary', lambda *given: '')
+    monkeypatch.chdir(tmp_path)
+    names = dict(model_path='wheel', data_path='excavation_wide', output_path='c', n_tools=None)
+    command_of_export.run(types.SimpleNamespace(format='c', **names))
+    places = 'models/wheel/soil_field', 'datasets/excavation_wide'
+    assert [path.endswith(place) for path, place in zip(asked, places, strict=False)] == [True] * 2

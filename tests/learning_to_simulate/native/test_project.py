@@ -114,7 +114,7 @@ def test_the_export_command_compares_and_refuses(saved, tmp_path, monkeypatch, c
     assert os.path.exists(os.path.join(out, 'CMakeLists.txt'))
     for change, error, message in (
         ({}, ValueError, 'not empty'),
-        ({'model_path': str(tmp_path / 'none')}, FileNotFoundError, 'holds no model'),
+        ({'model_path': str(tmp_path / 'none')}, FileNotFoundError, 'no folder with a config.json'),
     ):
         if change:
             values.output_path = out + '2'
