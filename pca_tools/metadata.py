@@ -38,15 +38,15 @@ def read_metadata(folder: str) -> dict[str, Any]:
         FileNotFoundError: the folder or the file is missing.
         ValueError: not JSON, or keys and values that are not as expected, all of them listed.
     """
-    path = os.path.join(folder, METADATA_NAME)
+    path, what = os.path.join(folder, METADATA_NAME), f'`lts import {folder}` says what it is'
     if not os.path.isdir(folder):
         raise FileNotFoundError(f'{folder}: no such dataset folder')
     if not os.path.exists(path):
-        raise FileNotFoundError(f'{path}: no such file{_what_else(folder)}')
+        raise FileNotFoundError(f'{path}: no such file, so the folder is no dataset; {what}')
     metadata = files.read_json(path)
     problems = metadata_problems(metadata)
     if problems:
-        raise ValueError(f'{path}: ' + '; '.join(problems) + _what_else(folder))
+        raise ValueError(f'{path}: ' + '; '.join(problems) + f'. {what}')
     return metadata
 
 
@@ -56,18 +56,6 @@ def union_of_bounds(every: Sequence[list[list[float]]]) -> list[list[float]]:
         [min(low for low, _ in pairs), max(high for _, high in pairs)]
         for pairs in zip(*every, strict=True)
     ]
-
-
-def _what_else(folder: str) -> str:
-    """Names the format of a folder that is no dataset of ours, with what to do; else empty."""
-    from pca_tools.formats import detect  # knows all formats, this one included
-
-    try:
-        kind = detect.detect(folder)
-    except (ValueError, OSError):
-        return ''
-    known = kind in detect.FORMATS or kind == detect.RAW
-    return f'. {detect.explain(kind, folder)}' if known else ''
 
 
 def is_number(value: Any) -> bool:

@@ -187,15 +187,15 @@ def test_imports_follow_the_arrows():
     assert not wrong, '\n'.join(wrong)
 
 
-def own_imports():
-    """Module of the main package -> those of it that it imports, without the package's name."""
-    files = [path for path in package_files() if path.parts[0] == 'learning_to_simulate']
+def own_imports(package='learning_to_simulate'):
+    """Module of a package -> those of it that it imports, without the package's name."""
+    files = [path for path in package_files() if path.parts[0] == package]
     names = {'.'.join(p.with_suffix('').parts[1:]).removesuffix('.__init__'): p for p in files}
     found = {}
     for name, path in names.items():
         found[name] = set()
         for imported, _ in imported_names(path):
-            parts = imported.split('.')[1:] if is_within(imported, 'learning_to_simulate') else []
+            parts = imported.split('.')[1:] if is_within(imported, package) else []
             while parts and '.'.join(parts) not in names:
                 parts.pop()
             found[name] |= {'.'.join(parts)} - {name, ''}
@@ -220,9 +220,10 @@ def test_no_arrow_of_the_main_package_climbs():
     assert climbs == CLIMBS.keys(), 'LAYERS says who lies above whom'
 
 
-def test_no_circle_in_the_main_package():
+@pytest.mark.parametrize('package', PACKAGES)
+def test_no_circle_in_a_package(package):
     """Modules that import none of the rest are taken away until none is left."""
-    left = own_imports()
+    left = own_imports(package)
     while free := {name for name, others in left.items() if not others & left.keys()}:
         left = {name: others for name, others in left.items() if name not in free}
     assert not left, f'these import each other: {sorted(left)}'
