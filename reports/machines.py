@@ -352,12 +352,10 @@ def apart(found, run, evaluator) -> float | None:
 
 
 def define_flags() -> None:
-    """Defines the flags of the command."""
     flags.DEFINE_string('output_path', None, 'Path of .json and .png, without it.', required=True)
 
 
 def main(values, _) -> None:
-    """Runs the command."""
     from learning_to_simulate.soil_field import evaluation, method, runs
 
     machines, fields = [], {name: method.load(path) for name, path in MODELS.items()}

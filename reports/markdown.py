@@ -19,9 +19,6 @@ def mean(values: Iterable[float | None]) -> str:
 def span(values: Iterable[float | None]) -> str:
     """'mean (smallest to largest)' of the values there are; one number where all are equal."""
     known = [float(v) for v in values if v is not None]
-    if not known:
-        return ''
-    low, high = min(known), max(known)
-    if low == high:
-        return cell(low)
-    return f'{cell(sum(known) / len(known))} ({cell(low)} to {cell(high)})'
+    if len(set(known)) < 2:
+        return cell(known[0]) if known else ''
+    return f'{mean(known)} ({cell(min(known))} to {cell(max(known))})'

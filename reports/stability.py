@@ -326,7 +326,6 @@ def table(path: str) -> str:
 
 
 def define_flags() -> None:
-    """Defines the flags of the command."""
     flags.DEFINE_string('soil_field', None, 'Folder of a soil field of a blade.', required=True)
     flags.DEFINE_string('wheel', None, 'Folder of one of a wheel.', required=True)
     flags.DEFINE_string('data_path', None, 'Dataset whose run networks follow.', required=True)
@@ -336,7 +335,7 @@ def define_flags() -> None:
 
 
 def main(values, _) -> int:
-    """Runs the command; exit code 1 if something must not be as it is."""
+    """Exit code 1 if something must not be as it is."""
     from learning_to_simulate.native.engines import TENSORFLOW, C
     from learning_to_simulate.soil_field import method
 

@@ -14,6 +14,7 @@ import pytest
 import yaml
 
 from learning_to_simulate import cli, presets
+from nri.config import NriConfig
 from reports import __main__ as reports
 from reports import documents
 
@@ -69,7 +70,8 @@ def test_the_guard_sees_what_it_guards():
 @functools.cache
 def known_flags():
     """Names of all flags that the sources define."""
-    names = {'help'} | {f.name for c in presets.PRESETS.values() for f in dataclasses.fields(c)}
+    configs = *presets.PRESETS.values(), NriConfig()  # whose fields have flags
+    names = {'help'} | {f.name for c in configs for f in dataclasses.fields(c)}
     for path in ROOT.glob('[!.]*/**/*.py'):
         names |= set(re.findall(r"DEFINE_\w+\(\s*'(\w+)'", path.read_text(encoding='utf-8')))
     return names | {f'no{name}' for name in names}

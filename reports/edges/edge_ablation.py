@@ -3,7 +3,7 @@ protocol.
 
 Examples:
     # the graphs of NRI first (a list for each seed), then the comparison
-    python -m reports nri_stability --data_path=datasets/excavation --modes=8 \\
+    python -m reports nri_stability --data_path=datasets/excavation --set=modes=8 \\
         --work_path=/tmp/nri --output_path=nri.json
     python -m reports edges --data_path=datasets/excavation --modes=8 --nri_path=nri.json \\
         --work_path=/tmp/edges --output_path=/tmp/edges.json

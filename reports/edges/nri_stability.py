@@ -4,10 +4,15 @@ Examples:
     python -m reports nri_stability --data_path=datasets/excavation \\
         --work_path=/tmp/nri_excavation --output_path=docs/edges/excavation_nri.json
 
+    # other settings of `NriConfig`
+    python -m reports nri_stability --data_path=datasets/excavation --set=modes=8 --set=epochs=20 \\
+        --work_path=/tmp/nri_8 --output_path=/tmp/nri_8.json
+
 Resumes where it was stopped; a picture of the graphs lies beside the JSON, which holds P(edge) of
 every seed, mean over the training runs, and is what `reports edges --nri_path` takes.
 """
 
+import dataclasses
 import itertools
 import os
 
@@ -15,6 +20,7 @@ import numpy as np
 from absl import flags
 
 from learning_to_simulate.command import import_tensorflow
+from learning_to_simulate.command import settings as given_settings
 from learning_to_simulate.subspace import edge_lists
 from nri import data as nri_data
 from nri import edge_picture
@@ -23,10 +29,9 @@ from nri.export_edges import edge_posterior, spread
 from pca_tools import files, workers
 from reports import command, markdown, record
 
-SETTINGS = (
-    'nodes', 'modes', 'epochs', 'hidden', 'window', 'stride', 'batch_size', 'learning_rate',
-    'decay_epochs',
-)  # fmt: skip
+# What differs from `NriConfig`; the learning rate stays unless --set gives a decay_start.
+SETTINGS = {'epochs': 8, 'hidden': 32, 'stride': 2, 'batch_size': 16, 'learning_rate': 1e-3,
+            'decay_epochs': 10}  # fmt: skip
 
 
 def train_seed(data_path: str, model_path: str, config: NriConfig, threshold: float) -> dict:
@@ -155,21 +160,14 @@ def define_flags() -> None:
     flags.DEFINE_integer('seeds', 5, 'Trainings to compare.', 2)
     command.define_workers('Seeds trained at a time.')
     flags.DEFINE_float('threshold', 0.6, 'Edges have a probability above it.', 0.0, 1.0)
-    flags.DEFINE_enum('nodes', 'modes', nri_data.NODE_KINDS, 'Nodes of the graph.')
-    flags.DEFINE_integer('modes', 0, 'How many of the modes, the first ones; 0: all.', 0)
-    flags.DEFINE_integer('epochs', 8, 'Epochs of each training.', 1)
-    flags.DEFINE_integer('hidden', 32, 'Width of all layers.', 1)
-    flags.DEFINE_integer('window', 49, 'Frames that the encoder sees.', 2)
-    flags.DEFINE_integer('stride', 2, 'Frames of the data between two of them.', 1)
-    flags.DEFINE_integer('batch_size', 16, 'Windows in a batch.', 1)
-    flags.DEFINE_float('learning_rate', 1e-3, 'Learning rate.', 0.0)
-    flags.DEFINE_integer('decay_start', None, 'Epoch from which it is halved; none: never.', 0)
-    flags.DEFINE_integer('decay_epochs', 10, 'Epochs between two halvings.', 1)
+    flags.DEFINE_multi_string('set', [], f'NAME=VALUE of `NriConfig`; else {SETTINGS}.')
 
 
 def main(v, _) -> None:
-    settings = {name: getattr(v, name) for name in SETTINGS}
-    settings['decay_start'] = v.epochs if v.decay_start is None else v.decay_start
+    types = {f.name: f.type for f in dataclasses.fields(NriConfig) if f.name != 'seed'}
+    types['no_edge_prior'] = float
+    settings = SETTINGS | given_settings(v.set, types)
+    settings = {'decay_start': settings['epochs']} | settings
     jobs = []
     for seed in range(v.seeds):
         config = NriConfig(**settings, seed=seed)

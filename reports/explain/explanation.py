@@ -53,6 +53,7 @@ class Explanation:
         opened = registry.open_model(model_path, data_path, 'test')
         model, metadata, groups = opened.model, opened.metadata, opened.groups
         self._simulator = simulator = model.simulator
+        self.n_weight = _weights(simulator)
         if not simulator.config.has_graph:
             raise ValueError(f'{model_path}: model {simulator.config.model!r} has no graph')
         self._calls: dict[str, tuple] = {}
@@ -67,11 +68,6 @@ class Explanation:
             *self._folded(),
             *self._absent(),
         ]
-
-    @property
-    def n_weight(self) -> int:
-        """Trained numbers of the model."""
-        return _weights(self._simulator)
 
     def _add(self, name, model, group, layout):
         """Makes a variant to be timed; returns its inputs."""

@@ -38,11 +38,6 @@ def _flop(operation):
 
 
 def plain_frame(simulator, layout, state, known, context) -> float:
-    """MFLOP of a frame of `LearnedSimulator.step`.
-
-    Args:
-      simulator, layout: of the model.
-      state, known, context: of `rollout.rollout_inputs`.
-    """
+    """MFLOP of a frame of `LearnedSimulator.step`; `state` ... of `rollout.rollout_inputs`."""
     coming = None if known is None else known.at(0)
     return mflop(lambda *x: simulator.step(*x, layout), state, coming, context)

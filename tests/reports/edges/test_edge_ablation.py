@@ -1,6 +1,5 @@
 """Lists of edges that are compared, and how the protocol is asked to compare them."""
 
-
 import numpy as np
 import pytest
 

@@ -13,6 +13,7 @@ from nri.model import load_model
 from pca_tools import files
 from reports.edges import nri_stability
 from tests.nri import small
+from tests.pca_tools.commands import call_command
 
 
 def row(matrix, seed=0):
@@ -62,6 +63,17 @@ def test_the_row_of_a_seed_is_what_its_model_says(tmp_path, monkeypatch):
     assert nri_stability.compare([row, row], 0.6)['agreement']['mean'] == 1.0
     nri_stability.draw(str(tmp_path / 'a.png'), {'seeds': [row, row]})
     assert (tmp_path / 'a.png').stat().st_size > 1000
+
+
+def test_settings_are_those_of_the_config(tmp_path):
+    paths = [f'--{name}_path={tmp_path}/{name}' for name in ('data', 'work', 'output')]
+    for item, words in (
+        ('width=3', 'names are skip_first, symmetric'),
+        ('window=2', 'a segment of'),
+    ):
+        done = call_command('reports', 'nri_stability', *paths, f'--set={item}')
+        assert done.returncode == 1 and words in done.stderr
+    assert not list(tmp_path.iterdir())
 
 
 def test_shipped_list_is_that_of_the_seed_with_the_least_loss():
