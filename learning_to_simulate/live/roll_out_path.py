@@ -36,7 +36,10 @@ def read_poses(path: str) -> np.ndarray:
             warnings.simplefilter('error', UserWarning)  # numpy's of a file without data
             return np.loadtxt(path, delimiter=',', ndmin=2)
     except (ValueError, UserWarning) as error:
-        raise ValueError(f'{path}: is not a table of numbers, x,y,z,qw,... ({error})') from error
+        raise ValueError(
+            f'{path}: is no table of numbers without a header, a line a frame: x,y,z,qw,qx,qy,qz or '
+            f'x,height,angle in rad ({error})'
+        ) from error
 
 
 def _ground(values, model):

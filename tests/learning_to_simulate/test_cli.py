@@ -51,13 +51,15 @@ def test_help_waits_for_no_heavy_package_and_ends_with_0(name):
 
 def test_errors_are_one_line_before_the_work(tmp_path):
     np.savetxt(tmp_path / 'path.csv', np.zeros((3, 7)), delimiter=',')
-    (tmp_path / 'file').touch()
+    (tmp_path / 'file').write_text('time_s,x_m,y_m,angle_deg\n')
+    named = f'--poses={tmp_path / "file"}'
     model, path = f'--model_path={tmp_path / "m"}', f'--poses={tmp_path / "path.csv"}'
     rollout = 'rollout', '--model=excavation'
     cases = [
         (('train', 'datasets/excavation', '--data_path=x', model), 'unexpected arguments'),
         (('train', '--data_path=datasets/excavation', model), 'tensorflow, which is not installed'),
         ((*rollout, '--poses=none.csv', '--output_path=x.npz'), 'error: none.csv: no such file'),
+        ((*rollout, named, '--output_path=x.npz'), 'numbers without a header, a line a frame'),
         ((*rollout, path, f'--output_path={tmp_path}/file/dig.npz'), 'cannot be written to'),
         ((*rollout, path, f'--output_path={tmp_path}/dig.npz', '--picture=dig.jpg'),
          'error: dig.jpg: must end in .png, .gif or .mp4'),
