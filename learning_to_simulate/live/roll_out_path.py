@@ -37,8 +37,8 @@ def read_poses(path: str) -> np.ndarray:
             return np.loadtxt(path, delimiter=',', ndmin=2)
     except (ValueError, UserWarning) as error:
         raise ValueError(
-            f'{path}: is no table of numbers without a header, a line a frame: x,y,z,qw,qx,qy,qz or '
-            f'x,height,angle in rad ({error})'
+            f'{path}: is not a table of numbers without a header, a line a frame: '
+            f'x,y,z,qw,qx,qy,qz or x,height,angle in rad ({error})'
         ) from error
 
 
