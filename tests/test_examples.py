@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 import learning_to_simulate as lts
 from learning_to_simulate import api
+from learning_to_simulate.soil_field import evaluation
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 
@@ -39,12 +40,15 @@ def test_rollout(tmp_path):
 
 
 def test_lines_of_the_python_page(tmp_path, monkeypatch):
-    """As written, but for the length of the training."""
+    """As written, but for the length of the training and the number of judged runs."""
     pytest.importorskip('matplotlib')
     text = (ROOT / 'docs' / 'python.md').read_text(encoding='utf-8')
     code = re.search(r'```python\n(.*?)```', text, re.S)[1]
     monkeypatch.chdir(tmp_path)
-    preset = api.preset
+    preset, judge = api.preset, evaluation.SoilEvaluator.run
+    monkeypatch.setattr(
+        evaluation.SoilEvaluator, 'run', lambda self, runs, *more: judge(self, runs[:3], *more)
+    )
     short = {'num_steps': 2, 'unroll_steps': 0}
     monkeypatch.setattr(api, 'preset', lambda name, **fields: preset(name, **fields | short))
     assert lts.preset('pcg').num_steps == 2
