@@ -30,7 +30,7 @@ from pca_tools import files, workers
 from reports import command, markdown, record
 
 # What differs from `NriConfig`; the learning rate stays unless --set gives a decay_start.
-SETTINGS = {'epochs': 8, 'hidden': 32, 'stride': 2, 'batch_size': 16, 'learning_rate': 1e-3,
+SETTINGS: dict = {'epochs': 8, 'hidden': 32, 'stride': 2, 'batch_size': 16, 'learning_rate': 1e-3,
             'decay_epochs': 10}  # fmt: skip
 
 
@@ -164,7 +164,7 @@ def define_flags() -> None:
 
 
 def main(v, _) -> None:
-    types = {f.name: f.type for f in dataclasses.fields(NriConfig) if f.name != 'seed'}
+    types: dict = {f.name: f.type for f in dataclasses.fields(NriConfig) if f.name != 'seed'}
     types['no_edge_prior'] = float
     settings = SETTINGS | given_settings(v.set, types)
     settings = {'decay_start': settings['epochs']} | settings
