@@ -78,6 +78,7 @@ def values(field) -> dict:
         'factor': tool.factor,
         'lifted': tool.lifted,
         'under': passage.UNDER,
+        'turned_back': passage.BACK,
         'slides': terrain.SLIDES,
         'slope_tolerance': terrain.SLOPE_TOLERANCE,
         'fastest': engine.FASTEST,

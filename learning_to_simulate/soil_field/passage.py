@@ -19,6 +19,7 @@ EVEN = 1e-3  # m of the field by which strips may differ and count as one
 MAX_STEP = sweep.WINDOW
 SET_DOWN = 0.05  # m of the field above all soil, from where a tool is set down
 UNDER = 0.1  # m of the field along the way from a tool, where terrain counts as under it
+BACK = 0.02  # m of the field behind its foremost place, from where a tool has turned back
 
 
 class Passage:
@@ -94,15 +95,17 @@ class Passage:
         return np.array([u, y, self.place.turns(pose)[0]])
 
     def lifts(self, pose) -> bool:
-        """Whether a tool at a pose [7] is by `Tool.lifted` over the highest terrain before it that
-        lies under it, and over the mean of all in sight."""
+        """Whether a tool at a pose [7] is by `Tool.lifted`, where it has turned back at all, over
+        the highest terrain before it that lies under it, and over the mean of all in sight."""
         return self._lifts(self.seen(pose))
 
     def _lifts(self, pose):
         surface = self.state.surface[self.strips.under]
         is_under = np.abs(self.state.origin[0] + sweep.GRID.offsets - pose[0]) < UNDER
         highest = surface[:, is_under].max(initial=surface.mean())
-        return bool(pose[1] - self._radius[0] > highest + self.tool.lifted)
+        is_back = pose[0] < self.state.foremost[self.strips.under].max() - BACK
+        least = 0.0 if is_back else self.tool.lifted
+        return bool(pose[1] - self._radius[0] > highest + least)
 
     @property
     def is_over(self) -> bool:

@@ -212,11 +212,13 @@ def test_a_lifted_tool_leaves_the_soil_as_it_is(tool):
     for u, height in ((0.4, 1e-3), (0.42, 0.1), (0.8, 0.3), (0.6, 0.3)):
         np.testing.assert_array_equal(go(u, height), low)
         assert passage.is_over
+    assert passage.lifts(poses([[0.37, tool.radius + 1e-3, 0.0]])[0])  # it has turned back
+    assert not passage.lifts(poses([[0.39, tool.radius + 1e-3, 0.0]])[0])
     # Over a heap it is nearer, and where it comes down heights follow it again.
     heap, near = soil.clone(), poses([[0.0, tool.scale * (over + 0.02), 0.0]])[0]
     heap.write(slice(None), soil.heights.ravel() + 0.03)
     assert Passage(soil, tool, near).is_lifted and not Passage(heap, tool, near).is_lifted
-    assert (go(0.5, -1e-3) != low).any()
+    assert (go(0.6, -1e-3) != low).any()
     passage, _ = walk(level(), tool, poses([[0.0, 1.0, 0.0], [0.1, 1.0, 0.0]]), rise=rise)
     assert passage.is_lifted and not passage.is_over
 

@@ -49,13 +49,13 @@ def go(tool, pose, dt=DT):
     return np.array([np.concatenate([f.force, f.torque]) for f in frames])
 
 
-def lifted(tool, height=0.5):
-    """Lifts a tool straight up; the terrain [nx, nz] at the end."""
+def lifted(tool, height=0.5, is_free=True):
+    """Lifts a tool straight up, until it bears nothing; the terrain [nx, nz] at the end."""
     pose = np.array(tool.frame.pose)
     for _ in range(40):
         pose[1] += height / 40
         frame = tool.step(pose)
-    assert not frame.force.any()
+    assert not (is_free and frame.force.any())
     return tool.terrain.heights.copy()
 
 
@@ -83,6 +83,22 @@ def test_a_lifted_tool_leaves_its_trench_and_its_heap(name):
     tool.step(aside, 0.1)
     np.testing.assert_allclose(soil.heights, low, atol=0.01)
     assert soil.heights.sum() == pytest.approx(low.sum(), abs=1e-9)
+
+
+def test_a_tool_that_turns_back_over_its_trench_leaves_it(name):
+    soil = ground()
+    tool = stepper(name, soil)
+    pose = poses(way(name))
+    go(tool, pose)
+    low = lifted(tool, DEPTH[name] + 0.02, is_free=False)
+    back = np.array(tool.frame.pose)
+    for _ in range(120):
+        back[0] += 0.3 / 120
+        tool.step(back)
+    np.testing.assert_allclose(soil.heights, low, atol=0.3 * np.ptp(low))
+    x, z = soil.middles
+    middle = ((x < -0.1) & (x > -0.25))[:, None] & (np.abs(z) < TOOLS[name].width / 4)
+    np.testing.assert_allclose(soil.heights[middle].mean(), low[middle].mean(), rtol=0.15)
 
 
 def test_a_scene_turned_and_moved_has_turned_forces_and_heights(name):

@@ -53,7 +53,7 @@ struct lts_soil_model {
   double taught_widths[2], rim, lean_length, standard_density, standard_gravity;
   /* Passage. */
   double ahead, below_tool, even, max_step, set_down, factor[2]; /* factor: of (20) */
-  double lifted, under; /* over the soil, and what lies under a tool along the way, m */
+  double lifted, under, turned_back; /* m over the soil; under a tool along the way; behind its foremost place */
   /* Terrain: of soil that slides. */
   int32_t slides, unused_slides;
   double slope_tolerance;

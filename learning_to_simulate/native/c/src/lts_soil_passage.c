@@ -18,23 +18,25 @@ static void seen_pose(const lts_soil *soil, const lts_place *place, const lts_po
   out[2] = turns[0];
 }
 
-/* Whether a tool that is seen somewhere is by `lifted` over the highest terrain before it that lies under it, and
- * over the mean of all in sight. */
+/* Whether a tool that is seen somewhere is by `lifted`, or at all where it has turned back, over the highest terrain
+ * before it that lies under it, and over the mean of all in sight. */
 static int lifts(const lts_soil *soil, const lts_passage *p, const double seen[3]) {
   const lts_soil_model *m = soil->model;
   const int several = p->s.n_strip > 1, first = several ? m->n_beside : 0, count = several ? m->n_column : 1;
   const double bottom = seen[1] - soil->radius, middle = (seen[0] - p->s.origin) / m->spacing + m->n_behind;
   const int begin = (int)fmax(middle - m->under / m->spacing, 0.0);
   const int end = (int)fmin(middle + m->under / m->spacing + 2.0, (double)m->n_bin);
-  double sum = 0.0;
+  double sum = 0.0, foremost = -HUGE_VAL;
+  for (int j = first; j < first + count; ++j) foremost = fmax(foremost, p->s.foremost[j]);
+  const double least = seen[0] < foremost - m->turned_back ? 0.0 : m->lifted;
   for (int k = begin; k < end; ++k) {
     if (!(fabs(p->s.origin + lts_soil_offset(m, k) - seen[0]) < m->under)) continue;
     for (int j = first; j < first + count; ++j) {
-      if (!(bottom > p->surface[LTS_SOIL_ROW(soil, j) + (size_t)k] + m->lifted)) return 0;
+      if (!(bottom > p->surface[LTS_SOIL_ROW(soil, j) + (size_t)k] + least)) return 0;
     }
   }
   for (size_t i = LTS_SOIL_ROW(soil, first); i < LTS_SOIL_ROW(soil, first + count); ++i) sum += p->surface[i];
-  return bottom > sum / (count * m->n_bin) + m->lifted;
+  return bottom > sum / (count * m->n_bin) + least;
 }
 
 int lts_soil_is_over(const lts_soil *soil, const lts_passage *p) {
