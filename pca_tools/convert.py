@@ -20,7 +20,8 @@ Examples:
     # files of the raw folder were changed on purpose: let the manifest follow
     python -m pca_tools.convert --raw_path=raw/own --rehash
 
-    # new runs, all in the test split, in the subspace of the dataset that a model was trained on
+    # new runs in the subspace of the dataset that a model was trained on; in the test split where
+    # they name none
     python -m pca_tools.convert --raw_path=raw/new --output_path=datasets/New \\
         --like=datasets/Excavation
 
@@ -116,7 +117,9 @@ def convert(
     else:
         refuse_other_scene(like, base, runs)
         _refuse_trained_on(like, base, runs)
-        dealt, wide = {'test': list(range(len(runs)))}, space
+        named = [runs.parameters(index).get('split') for index in range(len(runs))]
+        dealt = given_splits(runs.cases, named, need_train=False)
+        dealt, wide = dealt or {'test': list(range(len(runs)))}, space
     sampled = particles.choose_particles(space.initial)
     parts = {
         name: encode.encode_runs(runs, part, wide, space.n_modes, sampled)
@@ -222,7 +225,7 @@ def define_flags() -> None:
     )
     flags.DEFINE_float('max_memory_mb', 1024.0, 'Memory of the fit in MiB, beside one run.')
     flags.DEFINE_string(
-        'like', None, 'Dataset whose subspace and statistics are used; all runs go to test.'
+        'like', None, 'Dataset whose subspace is used; runs that name no split go to test.'
     )
     flags.DEFINE_bool('overwrite', False, 'Replace a finished dataset at --output_path.')
     flags.DEFINE_string(

@@ -104,7 +104,11 @@ def test_new_runs_in_an_old_subspace(wheel, raw_wheel, excavation, tmp_path):
     raw = write_raw_folder(tmp_path / 'smooth', 'wheel', [known], kind='smooth')
     metadata = convert.convert(raw, str(tmp_path / 'driven'), like=wheel)
     assert metadata['cases']['test'][0]['kind'] == 'smooth'
-    assert sorted(os.listdir(tmp_path)) == ['driven', 'new', 'raw', 'smooth']
+    # runs that name a split go there
+    raw = write_raw_folder(tmp_path / 'named', 'wheel', [33, 34], split='train')
+    metadata = convert.convert(raw, str(tmp_path / 'more'), like=wheel)
+    assert metadata['dataset_split'] == {'train': [33, 34]}
+    assert sorted(os.listdir(tmp_path)) == ['driven', 'more', 'named', 'new', 'raw', 'smooth']
 
 
 def test_occupied_output_is_left_alone(raw_excavation, tmp_path):
