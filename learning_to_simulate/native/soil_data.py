@@ -28,7 +28,7 @@ _BITS = {
     'LTS_OUTSIDE_START': (
         'bed_low', 'bed_high', 'uneven', 'wall', 'beyond_map', 'thin_soil', 'other_tool', 'cell'
     ),
-    'LTS_OUTSIDE_SPEED': ('speed',),
+    'LTS_OUTSIDE_SPEED': ('speed', 'along'),
 }  # fmt: skip
 
 

@@ -37,7 +37,7 @@ APART = 0.1
 # Numbers of a frame that are judged: scalars, and what follows from bins about the tool and from
 # how near a wall is.
 _SCALARS = ('lean', 'area', 'carried', 'speed')
-_OF_BINS = ('depth', 'bed_low', 'bed_high', 'uneven', 'wall')
+_OF_BINS = ('depth', 'bed_low', 'bed_high', 'uneven', 'wall', 'along')
 # Bins so far from the tool tell of the ground under it and about it, m of the field.
 HERE, NEAR = 0.05, 0.25
 
@@ -92,6 +92,7 @@ class SoilField:
         tip, height, radius = (
             frames.scalars[:, 0, columns[n]] for n in ('tip', 'height', 'radius')
         )
+        along, speed = (frames.scalars[:, 0, columns[n]] for n in ('along_0', 'speed'))
         surface = frames.bins[..., sweep.SURFACE]
         places = sweep.GRID.offsets - tip[:, None]
         here = np.abs(places)[:, None] < HERE
@@ -104,6 +105,8 @@ class SoilField:
             np.where(near, surface, -np.inf).max(axis=(1, 2)) - level,
             np.where(near, np.abs(surface - under), 0.0).max(axis=(1, 2)),
             AHEAD - frames.scalars[:, 0, columns['ahead']].astype(np.float64),
+            # A tool that falls is faster than any that goes on.
+            np.abs(along.astype(np.float64)) * speed,
         ]
         names = self.judged_names[: named(self.networks.tool)]
         own = [frames.scalars[..., columns[n]].max(axis=1) for n in names]

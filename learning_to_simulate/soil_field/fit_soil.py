@@ -161,8 +161,7 @@ def _rolled_out(field, dig, angle):
     from learning_to_simulate.soil_field.stepper import SoilStepper
     from learning_to_simulate.soil_field.tools import Soil
 
-    terrain = dig.terrain.clone()
-    terrain.soil = Soil(angle, gravity=dig.terrain.soil.gravity)
+    terrain = dig.terrain.clone(Soil(angle, gravity=dig.terrain.soil.gravity))
     try:
         stepper = SoilStepper(field, terrain, dig.tool)
         frame = stepper.start(dig.pose[0])

@@ -10,10 +10,13 @@ from pca_tools import files
 CELL = 0.02  # m, of a terrain of a given size
 # Of `Terrain.settle`: most rounds, and m of height between neighbours that may stay too much.
 SLIDES, SLOPE_TOLERANCE = 400, 1e-4
+_FIXED = 'cell', 'corner', 'soil', 'floor', 'walled'
 
 
 class Terrain:
     """Heights on a level grid of cells; y is up, x and z lie on the ground, all in metres.
+
+    Heights may change, all else stays: tools on a terrain have taken it in.
 
     Args:
       heights: [nx, nz] at the middles of the cells.
@@ -34,7 +37,7 @@ class Terrain:
         self._works: list = []  # weak references to what changes heights on being asked
         self.works_in_python = False  # whether some of that is unknown to the C library
         self.cell = np.broadcast_to(np.asarray(cell, np.float64), 2).copy()
-        self.corner = np.asarray(corner, np.float64)
+        self.corner = np.array(corner, np.float64)
         self.soil = Soil() if soil is None else soil
         self.walled = bool(walled)
         if not isinstance(self.soil, Soil):
@@ -52,6 +55,14 @@ class Terrain:
         self.floor = lowest - 1.0 if floor is None else float(floor)
         if not self.floor <= lowest:
             raise ValueError(f'the floor at {self.floor} m lies above heights of {lowest} m')
+
+        self.cell.setflags(write=False)
+        self.corner.setflags(write=False)
+
+    def __setattr__(self, name, value):
+        if name in _FIXED and name in vars(self):
+            raise AttributeError(f'{name} of a terrain stays as it is: make another lts.Terrain')
+        super().__setattr__(name, value)
 
     @property
     def heights(self) -> np.ndarray:
@@ -134,9 +145,10 @@ class Terrain:
         counts = np.maximum(np.rint(size / sides), 1).astype(int)
         return cls(np.full(counts, float(height)), cell, corner, **more)
 
-    def clone(self) -> 'Terrain':
-        """A terrain of its own with the same content."""
-        return Terrain(self.heights, self.cell, self.corner, self.soil, self.floor, self.walled)
+    def clone(self, soil: Soil | None = None) -> 'Terrain':
+        """A terrain of its own with the same content, or of another soil."""
+        soil = self.soil if soil is None else soil
+        return Terrain(self.heights, self.cell, self.corner, soil, self.floor, self.walled)
 
     def save(self, path: str) -> None:
         """Writes the terrain to an `.npz` file."""

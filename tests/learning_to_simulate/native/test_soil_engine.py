@@ -430,6 +430,7 @@ def test_flags_word_for_word():
         ('half_width', [0.5, 0.6], 'half_width'), ('depth', [0.5, 0.6], 'depth'),
         ('bed_low', [0.5, 0.6], 'bed_low'), ('bed_high', [0.5, 0.6], 'bed_high'),
         ('uneven', [0.5, 0.6], 'uneven'), ('wall', [0.5, 0.6], 'wall'),
+        ('along', [0.5, 0.6], 'along'),
     ):  # fmt: skip
         pair = both(hills(), made=ranged(**{name: value}))
         frame, _ = drive(pair, path(20, 0.2), **place)

@@ -45,7 +45,7 @@ def dig(field, depth=0.05, speed=0.1, angle=ANGLE, density=DENSITY, gravity=9.81
     frames = [stepper.start(way[0]), *(stepper.step(pose, DT) for pose in way[1:])]
     force = np.array([frame.force for frame in frames])
     # Of the soil that it starts from only gravity may count.
-    ground.soil = Soil(gravity=gravity)
+    ground = ground.clone(Soil(gravity=gravity))
     return Dig(f'{depth} {speed}', blade, ground, DT * np.arange(FRAMES), way, force)
 
 

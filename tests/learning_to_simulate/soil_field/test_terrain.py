@@ -172,8 +172,20 @@ def test_the_wall_ahead_is_where_a_walk_leaves_the_map(yaw, u):
     x, _, z = (place.origin + (u + way)[:, None] * place.along).T
     inside = (x >= -0.4) & (x <= 0.6) & (z >= -0.2) & (z <= 0.4)
     assert terrain.ahead(place, u) == pytest.approx(way[inside].max(), abs=2e-4)
-    terrain.walled = False
+    terrain = Terrain.flat((1.0, 0.6), corner=(-0.4, -0.2))
     assert terrain.ahead(place, u) == np.inf
+
+
+def test_only_heights_of_a_terrain_change():
+    """Tools on it have taken in the rest."""
+    terrain = Terrain.flat((1.0, 0.6))
+    for name in ('soil', 'cell', 'corner', 'floor', 'walled'):
+        with pytest.raises(AttributeError, match=f'{name} of a terrain stays as it is'):
+            setattr(terrain, name, getattr(terrain, name))
+    with pytest.raises(ValueError, match='read-only'):
+        terrain.cell[0] = 0.03
+    other = terrain.clone(Soil(30.0))
+    assert other.soil.friction_angle_deg == 30.0 and terrain.soil == Soil()
 
 
 @pytest.mark.parametrize(

@@ -7,10 +7,10 @@
 
 /* ---- status ---- */
 
-#define N_GROUND 5
+#define N_GROUND 6
 
-/* Depth of the tool, how low, high and uneven the ground about it is, and how near a wall; whether the tool
- * may touch the ground. */
+/* Depth of the tool, how low, high and uneven the ground about it is, how near a wall, and its speed along the
+ * way; whether the tool may touch the ground. */
 static int find_ground(const lts_soil *soil, const lts_passage *p, double area, double found[N_GROUND]) {
   const lts_soil_model *m = soil->model;
   const int n_strip = p->s.n_strip;
@@ -45,6 +45,7 @@ static int find_ground(const lts_soil *soil, const lts_passage *p, double area, 
   found[2] = most - level;
   found[3] = uneven;
   found[4] = m->ahead - (double)s[LTS_SOIL_OWN + m->n_own + 2];
+  found[5] = fabs((double)s[LTS_SOIL_MEMORY]) * (double)(float)p->s.speed;
   return lts_soil_lowest_part(soil) < level + (double)m->above + (double)m->heap * sqrt(fmax(area, 0.0));
 }
 
