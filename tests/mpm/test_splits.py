@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mpm import scenes, splits
-from mpm.motions import catalogue
+from mpm.motions import beyond, catalogue
 
 SCENES = pytest.mark.parametrize('scene', scenes.SCENES.values(), ids=lambda scene: scene.name)
 
@@ -18,7 +18,7 @@ def test_each_kind_has_ten_runs_to_test_and_five_to_choose(scene):
         found = Counter(splits.split_of(scene, case) for case in runs)
         assert len(runs) == count and found['test'] == 10 and found['valid'] == 5, kind
         assert splits.split_of(scene, catalogue.seed_case(kind, count)) is None
-    assert set(splits.RUNS[scene.name]) == set(catalogue.KINDS[scene.name])
+    assert {*splits.RUNS[scene.name], beyond.KIND} == set(catalogue.KINDS[scene.name])
 
 
 @SCENES

@@ -12,7 +12,13 @@ from pca_tools import dataset
 DATASETS = pathlib.Path(__file__).resolve().parents[3] / 'datasets'
 
 
-@pytest.mark.parametrize('name, count', [('excavation', 11), ('excavation_wide', 2), ('wheel', 8)])
+@pytest.mark.parametrize(
+    'name, count',
+    [
+        ('excavation', 11), ('excavation_wide', 2), ('excavation_beyond', 1), ('wheel', 8),
+        ('wheel_beyond', 1),
+    ],
+)  # fmt: skip
 def test_every_recorded_motion_is_drawn_again(name, count):
     """Poses of a tool that is moved, target and load of one that is free, and all parameters."""
     folder = str(DATASETS / name)
