@@ -39,6 +39,18 @@ def test_rollout(tmp_path):
     assert {p.name for p in tmp_path.iterdir()} == {'dig.npz', 'dig.png'}
 
 
+def test_ten_trenches_keep_their_volume(tmp_path, capsys):
+    pytest.importorskip('matplotlib')
+    rollout = _example('trenches').main(str(tmp_path / 'trenches.png'))
+    change = rollout.heights[-1].astype(float) - rollout.heights[0]
+    cut, heap = -change[change < 0].sum(), change[change > 0].sum()
+    assert rollout.status == 'ok' and heap == pytest.approx(cut, rel=0.05)
+    # Nine trenches lie beside an earlier one and ask for one force.
+    largest = [np.abs(part[:, 0]).max() for part in np.array_split(rollout.force, 10)]
+    np.testing.assert_allclose(largest[2:], largest[1], rtol=0.02)
+    assert 'ok' in capsys.readouterr().out and (tmp_path / 'trenches.png').exists()
+
+
 def test_lines_of_the_python_page(tmp_path, monkeypatch):
     """As written, but for the length of the training and the number of judged runs."""
     pytest.importorskip('matplotlib')

@@ -180,7 +180,7 @@ def _draw_section(axes, arrays, maps, i, legend):
     axes.set(xlim=(u.min(), u.max()), ylim=(low - room, top))
     axes.set(xlabel='along the way (m)', ylabel='height (m)' if legend else '', aspect='equal')
     if legend:
-        axes.legend(loc='lower left', ncols=3, handlelength=1.2, columnspacing=0.8)
+        axes.legend(loc='lower left', ncols=3, handlelength=1.2, columnspacing=0.8, framealpha=0.8)
 
 
 def _draw_map(axes, arrays, change, frame, extent, largest):
@@ -213,4 +213,4 @@ def _draw_force(axes, arrays, frames):
         axes.axvline(time[frame], color=FAINT, linewidth=0.8, zorder=1)
     axes.axhline(0.0, color=FAINT, linewidth=0.7)
     axes.set(xlabel='time (s)', ylabel='force on the tool (N)', xlim=(time[0], time[-1] or 1.0))
-    axes.legend(loc='upper left', ncols=2)
+    axes.legend(loc='lower left', bbox_to_anchor=(0.0, 1.0), ncols=2)
