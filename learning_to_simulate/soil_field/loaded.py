@@ -148,7 +148,10 @@ class LoadedTool:
         def residual(axis, value):
             there = coming.copy()
             there[axis] = value
-            frame = stepper.propose(self._pose(pose, there, target), dt)
+            try:
+                frame = stepper.propose(self._pose(pose, there, target), dt)
+            except ValueError as error:
+                raise ValueError(f'under its load, {error}') from error
             soil = [*(place.axes[:2] @ frame.force), place.across @ frame.torque]
             soil[1] += damped(frame, there[1])
             rate = (value - last[axis]) / dt

@@ -103,9 +103,7 @@ def _joined(parts):
     )
 
 
-def fit(
-    field: SoilField, pools: dict[str, list], progress=True, saved=None, held=None
-) -> dict:
+def fit(field: SoilField, pools: dict[str, list], progress=True, saved=None, held=None) -> dict:
     """Trains all networks on `parts_of`; returns their mean losses over the last tenth. `saved`
     keeps what was trained, see `method.Saved`.
 

@@ -31,9 +31,7 @@ STEPS = """(count) => {
   m.c.page_update();
   return { seen, heights: [...m.heights()] };
 }"""
-needs_compiler = pytest.mark.skipif(
-    not web_page.is_available(), reason=f'needs {web_page.MISSING}'
-)
+needs_compiler = pytest.mark.skipif(not web_page.is_available(), reason=f'needs {web_page.MISSING}')
 
 
 FIELDS = {
@@ -103,9 +101,9 @@ def opened(browser, path):
 @pytest.mark.parametrize('kind', PRESETS)
 def test_presets_give_the_frames_of_the_stepper(browser, pages, kind):
     with opened(browser, pages / f'{kind}.html') as tab:
-        assert tab.evaluate(
-            'unpacked(packed).then((b) => WebAssembly.Module.imports(new WebAssembly.Module(b)))'
-        ) == []  # it can call nothing outside of itself
+        imports = 'WebAssembly.Module.imports(new WebAssembly.Module(b))'
+        # It can call nothing outside of itself.
+        assert tab.evaluate(f'unpacked(packed).then((b) => {imports})') == []
         for name in PRESETS[kind]:
             tab.get_by_role('button', name=name, exact=True).click()
             tab.evaluate('page.pause(true); page.reset()')

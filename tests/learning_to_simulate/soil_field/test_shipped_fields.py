@@ -195,3 +195,13 @@ def test_the_order_of_tools_far_apart_does_not_matter():
         ends.append((found[0], found[1], soil.heights.copy()))
     for one, other in zip(*ends, strict=True):
         np.testing.assert_array_equal(one, other)
+
+
+def test_a_load_that_throws_a_tool_is_said_to():
+    stepper = model('excavation').stepper(ground(), TOOLS['excavation'])
+    pose = poses([[0.0, 0.05, 0.0]])[0]
+    stepper.start(pose)
+    tool = lts.LoadedTool(stepper, 20.0)
+    with pytest.raises(ValueError, match='under its load, the pose jumps'):
+        tool.step(pose, force=(0.0, -1e5, 0.0))
+    assert tool.velocity[1] == 0.0 and stepper.frame.pose[1] == pose[1]

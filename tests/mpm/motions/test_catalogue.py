@@ -1,6 +1,5 @@
 """What an id means, and what holds for the motions of all kinds."""
 
-
 import numpy as np
 import pytest
 
