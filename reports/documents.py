@@ -65,7 +65,7 @@ def runs(*paths: str) -> str:
         cases = dataset.read_metadata(path)['cases']
         kinds = Counter(run['kind'] for of in cases.values() for run in of)
         rows.append([
-            f'`{os.path.basename(path)}`', *(len(cases[split]) for split in SPLITS),
+            f'`{os.path.basename(path)}`', *(len(cases.get(split, [])) for split in SPLITS),
             ', '.join(f'{kind} {count}' for kind, count in sorted(kinds.items())),
         ])  # fmt: skip
     return markdown.table(['dataset', *SPLITS, 'of each kind'], rows)

@@ -40,8 +40,10 @@ class Recipe(NamedTuple):
 
 _PUBLISHED = {'modes': 8, 'num_steps': 10_000}
 SHIPPED = {
-    'excavation/soil_field': Recipe(('excavation', 'excavation_wide'), 'soil_field', {'seed': 2}),
-    'wheel/soil_field': Recipe(('wheel',), 'soil_field', {'seed': 1}),
+    'excavation/soil_field': Recipe(
+        ('excavation', 'excavation_wide', 'excavation_more'), 'soil_field', {'seed': 2}
+    ),
+    'wheel/soil_field': Recipe(('wheel', 'wheel_more'), 'soil_field', {'seed': 1}),
     'excavation/mlp_driven': Recipe(('excavation',), 'mlp_driven', {'num_steps': 4000}),
     'excavation/pcg': Recipe(('excavation',), 'pcg', {'modes': 8}),
     'wheel/pcg': Recipe(('wheel',), 'pcg', {'modes': 8}),
