@@ -68,7 +68,7 @@ def test_maps_are_those_of_the_raw_runs(whole, tmp_path):
     assert 'maps (5 x 3 cells of 160 x 200 mm from (0.1, 0.1) m' in told[0]
     new = raw_folder(tmp_path / 'new', (8, 9))
     convert.convert(new, str(tmp_path / 'like'), like=data)
-    check(str(tmp_path / 'like'), {'test': [8, 9]})
+    check(str(tmp_path / 'like'), {'train': [8, 9]})
     subset.subset(data, str(tmp_path / 'few'), train_runs=2)
     few = files.read_json(tmp_path / 'few' / 'metadata.json')['dataset_split']
     assert len(few['train']) == 2

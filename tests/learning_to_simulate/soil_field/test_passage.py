@@ -53,7 +53,7 @@ def test_a_scene_of_twice_the_size_is_the_same_in_other_units(one, other):
     here, frames = walk(scenes.hills(), one, poses(path))
     large, dt = scenes.hills(scale=2.0), np.sqrt(2.0) * DT
     if 'stress' in one.scalars:  # and grains as stiff against the soil's weight
-        large.soil, dt = Soil(gravity=9.81 / 2), 2.0 * DT
+        large, dt = large.clone(Soil(gravity=9.81 / 2)), 2.0 * DT
     there, others = walk(large, other, poses(path * [2, 2, 1]), dt)
     scenes.assert_frames(others, frames)
     assert there.scale == 2 * here.scale == 2
@@ -62,8 +62,7 @@ def test_a_scene_of_twice_the_size_is_the_same_in_other_units(one, other):
 
 
 def test_gravity_is_a_unit_of_time_and_friction_a_number(tool):
-    moon = scenes.hills()
-    moon.soil = Soil(30.0, gravity=9.81 / 4)
+    moon = scenes.hills().clone(Soil(30.0, gravity=9.81 / 4))
     _, here = walk(scenes.hills(), tool, poses(path_of(tool)))
     _, there = walk(moon, tool, poses(path_of(tool)))
     names = network.names_of(tool)
