@@ -134,9 +134,8 @@ def fit(field: SoilField, pools: dict[str, list], progress=True, saved=None, hel
         first = [value.numpy() for value in part.trainable_variables]
         others = held[name] if held else []
         before = loss_of(*how, others)
-        losses[f'loss_{name}'] = _fit(
-            part, *how, name, parts, config, networks.tool.name, progress, saved
-        )
+        noise = NOISE[networks.tool.name] if name == 'load' else 0.0
+        losses[f'loss_{name}'] = _fit(part, *how, name, parts, config, noise, progress, saved)
         after = loss_of(*how, others)
         if others:
             stays = after >= before
@@ -162,7 +161,7 @@ def loss_of(call, scale, pools) -> float:
     return total / weights if weights else 0.0
 
 
-def _fit(part, call, scale, name, pools, config, tool, progress, saved=None):
+def _fit(part, call, scale, name, pools, config, noise, progress, saved=None):
     variables = part.trainable_variables
     schedule = tf.keras.optimizers.schedules.CosineDecay(config.learning_rate, config.num_steps)
     optimizer = tf.keras.optimizers.Adam(schedule, global_clipnorm=CLIP_NORM)
@@ -171,9 +170,7 @@ def _fit(part, call, scale, name, pools, config, tool, progress, saved=None):
     mean = sum(pool.weight.sum(dtype=np.float64) for pool in pools) / counts.sum()
     batch = BATCHES[name]
     # ROBUST in the unit of errors: weights of a load are 1 over the mean square of a run.
-    is_load = name == 'load'
-    limit = float((ROBUST / network.FORCE) ** 2 / mean) if is_load else 0.0
-    noise = NOISE[tool] if is_load else 0.0
+    limit = float((ROBUST / network.FORCE) ** 2 / mean) if name == 'load' else 0.0
     # Pools are drawn from by their shares.
     sizes = np.maximum(np.rint(batch * counts / counts.sum()), 1).astype(int)
 

@@ -11,11 +11,11 @@ from mpm.motions import grid
 from mpm.motions.drive import Drive, poses
 
 KIND = 'beyond'
-LOOSE, FIRM = {'friction_angle_deg': 20.0}, {'friction_angle_deg': 48.0}
+USUAL_DEG = scenes.Ground().friction_angle_deg
 # Changes of `_blade` and `_wheel`.
 BLADES = {
-    'loose': {'ground': LOOSE},
-    'firm': {'ground': FIRM},
+    'loose': {'friction_deg': 20.0},
+    'firm': {'friction_deg': 48.0},
     'narrow': {'width': 0.08},
     'fast': {'speed': 0.7},
     'deep': {'depth': 0.13},
@@ -24,8 +24,8 @@ BLADES = {
     'wall': {'end': 0.14, 'speed': 0.16},
 }
 WHEELS = {
-    'loose': {'ground': LOOSE},
-    'firm': {'ground': FIRM},
+    'loose': {'friction_deg': 20.0},
+    'firm': {'friction_deg': 48.0},
     'fast': {'speed': 0.6, 'slip': 0.9},
     'heavy': {'load': 900.0},
     'grousers': {'grousers': {'count': 12, 'height': 0.03, 'thickness': 0.01}, 'radius': 0.11},
@@ -56,9 +56,10 @@ def beyond_drive(
 
 def _blade(
     box, speed=0.1, depth=0.04, lean=15.0, aside=0.0, end=0.35, width=bodies.BLADE_WIDTH,
-    ground=None,
+    friction_deg=USUAL_DEG,
 ):  # fmt: skip
-    """Down to a depth (m) in 0.6 s, then on at a mean speed (m/s) to x = end, by then `aside` m."""
+    """Down to a depth (m) in 0.6 s, then on at a mean speed (m/s) to x = end, by then `aside` m;
+    the top leans back by `lean` degrees."""
     body = bodies.make_blade(width)
     angle = -np.radians(lean)
     start_x, clearance = box.size[0], 0.006
@@ -71,12 +72,13 @@ def _blade(
         z = box.z_middle + aside * way / (start_x - end)
         return poses(times, start_x - way, y, angle, z)
 
-    return Drive(body, pose), {'blade_width_m': width} | _given(ground)
+    ground = {'friction_angle_deg': friction_deg}
+    return Drive(body, pose), {'blade_width_m': width, 'ground': ground}
 
 
 def _wheel(
     scene, speed=0.03, slip=0.3, load=164.0, radius=0.075, width=bodies.WHEEL_WIDTH, grousers=None,
-    aside=0.0, ground=None,
+    aside=0.0, friction_deg=37.0,
 ):  # fmt: skip
     """On at a rim speed (m/s) and a slip for 0.18 m, by then `aside` m, under a load (N)."""
     tool = {'name': 'wheel', 'radius': radius, 'width': width}
@@ -91,12 +93,8 @@ def _wheel(
 
     machine = grid.under_load(load, lambda times: np.full(len(np.atleast_1d(times)), load))
     drive = Drive(bodies.tool_body(tool), pose, machine, rest=grid.REST_FRAMES)
-    context = scene.parameters(122) | {'diameter_m': 2.0 * radius, 'load_N': load, 'tool': tool}
+    context = scene.parameters(122) | {
+        'diameter_m': 2.0 * radius, 'load_N': load, 'tool': tool, 'friction_angle_deg': friction_deg
+    }  # fmt: skip
     del context['slip_percent']
-    if ground:
-        context['friction_angle_deg'] = ground['friction_angle_deg']
     return drive, context
-
-
-def _given(ground):
-    return {} if ground is None else {'ground': ground}

@@ -31,7 +31,6 @@ def check_drive(drive: Drive, box: Bin, frames: int, steps_per_frame: int) -> No
     dt = 1.0 / FRAME_RATE / steps_per_frame
     times = np.arange(count + 1) * dt
     body, machine, poses = drive.body, drive.machine, np.asarray(drive.pose(times), np.float64)
-
     _refuse(times, ~np.isfinite(poses).all(axis=1), 'the pose is {}', poses)
     if body.is_wheel:
         if machine is not None:
