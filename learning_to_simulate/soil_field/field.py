@@ -176,8 +176,10 @@ class SoilField:
         that is faster than any that was taught feels what the fastest did, and is flagged."""
         call = self.networks.compiled(frame.bins.shape[1], members).loads
         scalars = frame.scalars.copy()
-        speed = scalars[..., self.networks.scalars['speed']]
-        np.minimum(speed, np.float32(self.ranges.get('speed', [0.0, np.inf])[1]), out=speed)
+        fastest = np.float32(self.ranges.get('speed', [0.0, np.inf])[1])
+        for name in ('speed', *(f'pace_{i}' for i in range(len(sweep.MEMORIES)))):
+            column = scalars[..., self.networks.scalars[name]]
+            np.minimum(column, fastest, out=column)
         return call(tf.constant(frame.bins), tf.constant(scalars)).numpy()
 
     def displacement(self, passage: Passage, places, members: int | None = None) -> np.ndarray:

@@ -170,7 +170,11 @@ _AREA = (
     Row('carried', 0.03, 'tanh'), Row('carried', 0.1, 'tanh'),
 )  # fmt: skip
 _GAP = 'height - radius - at.surface + at.cut'  # between the tool and what it has cut
-_MEMORY = tuple(Row(name) for name in sweep.SCALARS if name[-2:] in ('_0', '_1', '_2', '_3'))
+_MEMORIES = range(len(sweep.MEMORIES))
+_MEMORY = tuple(Row(f'{name}_{i}') for i in _MEMORIES for name in ('along', 'up', 'turn'))
+# How fast the tool came to where it is: soil that slides on takes its load off a blade that halts.
+# The networks of a wheel err more with it.
+_PACE = tuple(Row(f'pace_{i}', 0.1) for i in _MEMORIES)
 _AHEAD = Row('ahead', 0.1, 'tanh')
 _BLADE = (
     Row('lean'), Row('half_width', 0.2), Row('friction', 0.15, shift=0.76),
@@ -244,5 +248,5 @@ TABLES = {
         Table((*own, *more, *_LOAD)), Table(_SIDE), Table(_HERE), Table(_OF_PARTICLE),
         Table((*own, *_STANDS)),
     )
-    for name, own, more in (('blade', _BLADE, ()), ('wheel', _WHEEL, _BEARS))
+    for name, own, more in (('blade', _BLADE, _PACE), ('wheel', _WHEEL, _BEARS))
 }  # fmt: skip

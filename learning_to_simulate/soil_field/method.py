@@ -51,8 +51,8 @@ def train(data_path, model_path, config, options) -> dict:
     with folder_lock.locked(model_path):
         if not checkpoints.holds_model(model_path, parts, own):
             saved = Saved(model_path, parts, options.save_every or max(config.num_steps // 10, 1))
-            valid = _read(folders, 'valid', is_needed=False)
-            runs = _read(folders, 'train')
+            valid = runs_lib.read_all(folders, 'valid', is_needed=False)
+            runs = runs_lib.read_all(folders, 'train')
             tool = one_tool(runs + valid, data_path)
             made = training.make_field(config, tool, first=first)
             print(f'{config.preset}: {len(runs)} runs of a {tool}, three networks')
@@ -124,12 +124,6 @@ class Saved:
         os.remove(self._path)
 
 
-def _read(folders, split, is_needed=True) -> list[Run]:
-    """The runs of a split of all folders; where it is not needed, of those that have it."""
-    there = [f for f in folders if is_needed or os.path.exists(dataset.split_path(f, split))]
-    return [run for folder in there for run in runs_lib.read(folder, split)]
-
-
 def one_tool(runs: list[Run], data_path: str) -> str:
     """The name of the kind of tool of all runs; ValueError for no runs, or runs of blades and of
     wheels."""
@@ -158,7 +152,7 @@ def open_model(model_path, data_path, split, overrides=None, raw_path=None) -> O
 def opened(field: field_lib.SoilField, model_path: str, data_path: str, split: str) -> OpenedModel:
     """`open_model` of a field that is in memory."""
     folders = data_path.split(',')
-    runs = _read(folders, split)
+    runs = runs_lib.read_all(folders, split)
     known, found = field.networks.tool.name, one_tool(runs, data_path)
     if known != found:
         raise ValueError(

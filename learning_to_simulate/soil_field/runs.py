@@ -136,6 +136,12 @@ def read(folder: str, split: str) -> list[Run]:
     return found
 
 
+def read_all(folders, split: str, is_needed: bool = True) -> list[Run]:
+    """`read` of several folders; where the split is not needed, of those that have it."""
+    there = [f for f in folders if is_needed or os.path.exists(dataset.split_path(f, split))]
+    return [run for folder in there for run in read(folder, split)]
+
+
 def floor_of(case: dict, maps) -> float:
     """Floor of the bin of a run, m: its depth below most of the first of maps [F, nx, nz]."""
     return float(np.median(maps[0])) - float(case['bin_m'][1]) if 'bin_m' in case else -1e3

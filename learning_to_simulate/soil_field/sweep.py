@@ -33,7 +33,7 @@ RISE = 0.5
 # Channels of the bins of a frame: (3), height of the terrain over the level, (5), (6), (8), (9).
 CHANNELS = ('cut', 'surface', 'since', 'area_before', 'influence', 'disturbed')
 CUT, SURFACE, SINCE, AREA_BEFORE, INFLUENCE, DISTURBED = range(6)
-MOTIONS = ('along', 'up', 'turn')
+MOTIONS = ('along', 'up', 'turn', 'pace')  # d / ds, and ds over its duration, m/s: (7)
 # Scalars of a frame that come from the path; those of `tools.Tool.scalars` and `OF_PASSAGE` follow.
 SCALARS = (
     'tip', 'height', 'lean', 'area', 'foremost', 'way', 'speed',
@@ -86,7 +86,7 @@ class Sweep(NamedTuple):
         there was none.
       area_before: [B, n], (6), m2.
       pose: [B, 3] u and y of the circle's centre (m) and its turn: lean of a blade, rad.
-      memory: [B, K, 3], (7).
+      memory: [B, K, 4] of `MOTIONS`, (7).
       travelled: [B] length of the path, m.
       way: [B] sum of ds, m.
       foremost: [B], m.
@@ -146,7 +146,7 @@ def start(pose, read: Read, grid: Grid = GRID) -> Sweep:
     none = np.zeros_like(origin)
     return Sweep(
         origin, surface, surface, np.full_like(surface, -FORGET), np.zeros_like(surface), pose,
-        np.zeros((len(pose), len(MEMORIES), 3)), none, none, origin, none, none,
+        np.zeros((len(pose), len(MEMORIES), len(MOTIONS))), none, none, origin, none, none,
     )  # fmt: skip
 
 
@@ -174,7 +174,8 @@ def advance(state: Sweep, pose, turn, radius, dt: float, read: Read, grid: Grid 
     height = swept.underside(bins, state.pose[:, :2], pose[:, :2], np.asarray(radius)[:, None])
     after = state._replace(**swept.after_step(state, height, pose[:, 0], length))
     ds = length + np.abs(turn)
-    motion = np.stack([step[:, 0], step[:, 1], turn], axis=1) / np.maximum(ds, 1e-30)[:, None]
+    motion = np.stack([step[:, 0], step[:, 1], turn, ds**2 / dt], axis=1)
+    motion /= np.maximum(ds, 1e-30)[:, None]
     fade = np.exp(-ds[:, None] / np.array(MEMORIES))[..., None]
     return after._replace(
         area_before=swept.area_before(state, after, area(state, grid), state.area_before),

@@ -23,9 +23,14 @@ ROWS = 2048  # that a loss is computed of at a time
 COMPONENTS = {'blade': (1, 1, 0.5, 1, 1, 3), 'wheel': (1, 1, 0, 0, 0, 8)}
 # Share of a run's root mean square of force beyond which errors of the load count by their length.
 ROBUST = 0.3
-# Standard deviation of what is added to the inputs of the load, which are of order one: else the
-# networks of a blade learn its runs by heart. That of a wheel errs more with it.
-NOISE = {'blade': 0.1, 'wheel': 0.0}
+# Standard deviations of what is added to the inputs of the load, which are of order one: to all of
+# them; and to some that say the tool, the same for all its strips. Else the networks learn by heart
+# the runs of a blade, and the few tools that there are. Those of a wheel err more with the first.
+NOISE = {'blade': 0.05, 'wheel': 0.0}
+NOISE_OF_TOOL = {
+    'blade': {'half_width': 0.1, 'radius': 0.2, 'length': 0.2, 'bucket': 0.2, 'plates': 0.2},
+    'wheel': {'lugs': 0.3, 'lug_height': 0.3},
+}
 _STREAMS = {'load': 1, 'surface': 2, 'soil': 3}
 
 
@@ -57,9 +62,11 @@ def make_field(
     return SoilField(config, networks)
 
 
-def parts_of(field: SoilField, runs: list[Run], progress=iter) -> dict[str, list]:
-    """Name of a network -> samples of runs, pooled by their shapes (loads of uneven terrain have
-    five strips, of even terrain one); the field learns their ranges.
+def parts_of(
+    field: SoilField, runs: list[Run], progress=iter, only=tuple(network.HIDDEN)
+) -> dict[str, list]:
+    """Name of a network -> samples of runs, `pooled`; the field learns their ranges. `only` are the
+    networks that are asked for.
 
     Raises:
       ValueError: no runs.
@@ -67,31 +74,37 @@ def parts_of(field: SoilField, runs: list[Run], progress=iter) -> dict[str, list
     if not runs:
         raise ValueError('no runs to learn from')
     networks = field.networks
-    pools: dict[str, dict] = {'load': {}, 'surface': {}, 'soil': {}}
-    values = []
+    values, found = [], []
     for number, run in enumerate(progress(runs)):
         rng = np.random.Generator(
             np.random.Philox(key=field.config.seed, counter=[0, 0, 9, number])
         )
         whole = samples.episode_of(run)
         values.append(field.judged(whole.frames))
-        motion, found = samples.motion_of(whole), []
+        motion = samples.motion_of(whole)
         for start in samples.starts_of(run):
             episode = samples.episode_of(run, start) if start else whole
-            found += [
-                ('load', samples.load_part(networks, run, episode)),
-                ('surface', samples.surface_part(networks, episode, motion, rng)),
-            ]
-        if run.particles is not None:
+            if 'load' in only:
+                found.append(('load', samples.load_part(networks, run, episode)))
+            if 'surface' in only:
+                found.append(('surface', samples.surface_part(networks, episode, motion, rng)))
+        if 'soil' in only and run.particles is not None:
             found.append(('soil', samples.soil_part(networks, run, rng)))
-        for name, part in found:
-            pools[name].setdefault(part.inputs[0].shape[1:], []).append(part)
     seen = np.concatenate(values)
     lows, highs = seen.min(axis=0).tolist(), seen.max(axis=0).tolist()
     for name, low, high in zip(field.judged_names, lows, highs, strict=True):
         if name not in CONDITIONS:
             field.ranges[name] = [low, high]
-    return {name: [_joined(parts) for parts in pool.values()] for name, pool in pools.items()}
+    return dict.fromkeys(only, []) | pooled(found)
+
+
+def pooled(parts) -> dict[str, list]:
+    """Name of a network -> samples, joined where they have one shape (loads of uneven terrain have
+    five strips, of even terrain one), of names and `samples.Part`."""
+    pools: dict[str, dict] = {}
+    for name, part in parts:
+        pools.setdefault(name, {}).setdefault(part.inputs[0].shape[1:], []).append(part)
+    return {name: [_joined(some) for some in pool.values()] for name, pool in pools.items()}
 
 
 def _joined(parts):
@@ -134,7 +147,7 @@ def fit(field: SoilField, pools: dict[str, list], progress=True, saved=None, hel
         first = [value.numpy() for value in part.trainable_variables]
         others = held[name] if held else []
         before = loss_of(*how, others)
-        noise = NOISE[networks.tool.name] if name == 'load' else 0.0
+        noise = _noise(networks) if name == 'load' else None
         losses[f'loss_{name}'] = _fit(part, *how, name, parts, config, noise, progress, saved)
         after = loss_of(*how, others)
         if others:
@@ -145,6 +158,20 @@ def fit(field: SoilField, pools: dict[str, list], progress=True, saved=None, hel
                 for variable, value in zip(part.trainable_variables, first, strict=True):
                     variable.assign(value)
     return losses
+
+
+def _noise(networks):
+    """What adds noise to own inputs [B, K, I] and sides [B, K, 2, I'] of the load."""
+    to_all, of_tool = NOISE[networks.tool.name], NOISE_OF_TOOL[networks.tool.name]
+    operands = [row.operand for row in networks.tables.load.rows for _ in range(row.columns)]
+    deviations = np.array([of_tool.get(operand, 0.0) for operand in operands], np.float32)
+
+    def noise(rng, own, sides):
+        own = own + deviations * rng.standard_normal((len(own), 1, own.shape[2]), np.float32)
+        for seen in (own, sides):
+            yield seen + to_all * rng.standard_normal(seen.shape, np.float32) if to_all else seen
+
+    return noise
 
 
 def loss_of(call, scale, pools) -> float:
@@ -209,8 +236,7 @@ def _fit(part, call, scale, name, pools, config, noise, progress, saved=None):
             rows = rng.integers(len(pool.weight), size=size)
             inputs = tuple(x[rows] for x in pool.inputs)
             if noise:
-                seen = (x + noise * rng.standard_normal(x.shape, np.float32) for x in inputs[:2])
-                inputs = *seen, *inputs[2:]
+                inputs = *noise(rng, *inputs[:2]), *inputs[2:]
             weight = (pool.weight[rows] / mean).astype(np.float32)
             drawn.append((inputs, pool.target[rows], weight))
         loss = step(drawn)

@@ -58,8 +58,10 @@ def test_a_model_says_what_it_learned_from(model, folders, capsys):
 
 def test_a_killed_training_goes_on_to_the_same_weights(model, folders, tmp_path, monkeypatch):
     path, calls, keep = str(tmp_path / 'killed'), [], method.Saved.keep
-    read = method._read
-    monkeypatch.setattr(method, '_read', lambda f, s, **more: read(f, s) if s == 'train' else [])
+    read = method.runs_lib.read_all
+    monkeypatch.setattr(
+        method.runs_lib, 'read_all', lambda f, s, **more: read(f, s) if s == 'train' else []
+    )
 
     def killed(saved, name, step, *rest):
         keep(saved, name, step, *rest)

@@ -68,10 +68,13 @@ def test_gravity_is_a_unit_of_time_and_friction_a_number(tool):
     names = network.names_of(tool)
     for one, other in zip(here[1:], there[1:], strict=True):
         np.testing.assert_array_equal(other.bins, one.bins)
-        same = [i for i, name in enumerate(names) if name not in ('speed', 'friction', 'stress')]
+        fast = [i for i, name in enumerate(names) if name == 'speed' or name.startswith('pace')]
+        friction = names.index('friction')
+        other_units = (*fast, friction, *(i for i, name in enumerate(names) if name == 'stress'))
+        same = np.setdiff1d(np.arange(len(names)), other_units)
         np.testing.assert_array_equal(other.scalars[..., same], one.scalars[..., same])
-        speed, friction = names.index('speed'), names.index('friction')
-        np.testing.assert_allclose(other.scalars[..., speed], 2 * one.scalars[..., speed], 1e-5)
+        # Set down it was within 1 s of the field, of whatever gravity.
+        np.testing.assert_allclose(other.scalars[..., fast], 2 * one.scalars[..., fast], 2e-3)
         assert other.scalars[0, 0, friction] == pytest.approx(np.tan(np.radians(30.0)))
         if 'stress' in names:  # grains are as stiff as ever
             k = names.index('stress')
@@ -104,7 +107,9 @@ def test_a_tool_is_set_down_from_above_or_stands_in_soil_as_it_is():
     circle = s.pose[0, 1] - np.sqrt(np.maximum(0.014**2 - sweep.GRID.offsets**2, 0.0))
     wanted = np.where(np.abs(sweep.GRID.offsets) <= 0.014, np.minimum(s.surface, circle), s.surface)
     np.testing.assert_allclose(s.profile, wanted, atol=1e-14)
-    np.testing.assert_allclose(s.memory[:, 0], np.array([0.0, -1.0, 0.0]) + 0 * s.memory[:, 0])
+    straight = np.broadcast_to([0.0, -1.0, 0.0], (len(s.memory), 3))
+    np.testing.assert_allclose(s.memory[:, 0, :3], straight)
+    np.testing.assert_allclose(s.memory[:, 0, 3], s.way)  # in 1 s
     assert s.surface.max() + 0.014 + 0.049 < s.way[0] - 0.04 < s.surface.max() + 0.1
     before = down.terrain.heights.copy()
     down.update()

@@ -70,7 +70,7 @@ def test_a_lifted_tool_leaves_its_trench_and_its_heap(name):
     tool = stepper(name, soil)
     go(tool, poses(way(name)))
     before = soil.heights.copy()
-    low = lifted(tool, 0.15)
+    low = lifted(tool, 0.2)
     assert low.min() < 0.6 * before.min() and low.max() > 0.3 * before.max()
     # Behind the tool nothing slides.
     x, z = soil.middles
@@ -101,6 +101,19 @@ def test_a_tool_that_turns_back_over_its_trench_leaves_it(name):
     np.testing.assert_allclose(soil.heights[middle].mean(), low[middle].mean(), rtol=0.15)
 
 
+def test_a_blade_that_halts_at_once_is_relieved_and_one_that_slows_down_is_not():
+    """As in the solver's runs: soil that is fast slides on for v^2 / (2 mu g), some millimetres."""
+    u, t = way('excavation', 160), np.linspace(0.0, 1.0, 160)
+    start, end = u[0], u[-1]
+    slowly = start + (end - start) * (t * (2.0 - t))[:, None]
+    slowly[:, 1] = np.interp(slowly[:, 0], u[:, 0], u[:, 1])
+    kept = []
+    for path in (u, slowly):
+        force = go(stepper('excavation', ground()), poses(np.concatenate([path, path[-1:]])))
+        kept.append(np.linalg.norm(force[-1, :3]) / np.linalg.norm(force[-2, :3]))
+    assert kept[0] < 0.7 < 0.9 < kept[1] < 1.05
+
+
 def test_a_scene_turned_and_moved_has_turned_forces_and_heights(name):
     way_of, here = way(name), ground()
     found = go(stepper(name, here), poses(way_of))
@@ -121,7 +134,8 @@ def test_a_scene_turned_and_moved_has_turned_forces_and_heights(name):
 
 
 def test_a_mirrored_scene_has_mirrored_forces_and_heights(name):
-    """Beside a trench, on all strips. Soil slides pair by pair, which leaves half a millimetre."""
+    """Beside a trench, on all strips. Soil slides pair by pair, which leaves half a millimetre, and
+    a place that is touched or not has another `since`."""
     found, ends = [], []
     for side in (1, -1):
         soil = ground()
@@ -132,7 +146,7 @@ def test_a_mirrored_scene_has_mirrored_forces_and_heights(name):
         found.append(go(tool, second if side > 0 else mirrored(second)))
         ends.append(soil.heights.copy())
     signs = [1, 1, -1, -1, -1, 1]
-    np.testing.assert_allclose(found[1], found[0] * signs, atol=5e-3 * np.abs(found[0]).max())
+    np.testing.assert_allclose(found[1], found[0] * signs, atol=2e-2 * np.abs(found[0]).max())
     np.testing.assert_allclose(ends[1], ends[0][:, ::-1], atol=2e-3)
 
 

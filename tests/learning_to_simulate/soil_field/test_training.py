@@ -87,6 +87,18 @@ def test_a_network_that_became_worse_on_other_runs_stays_as_it_was(capsys):
     assert 'stays' not in capsys.readouterr().out
 
 
+def test_inputs_that_say_the_tool_get_noise_of_their_own():
+    """The same on all strips; all other inputs, of each strip and side, their own."""
+    networks = worlds.trained()[0].networks
+    operands = [row.operand for row in networks.tables.load.rows for _ in range(row.columns)]
+    own, sides = np.zeros((4000, 2, len(operands)), np.float32), np.zeros((4000, 2, 2, 13))
+    own, sides = training._noise(networks)(np.random.default_rng(0), own, sides.astype(np.float32))
+    edge, soil = (own[..., operands.index(name)] for name in ('radius', 'friction'))
+    assert edge.std() == pytest.approx(np.hypot(0.2, 0.05), rel=0.05)
+    assert (edge[:, 0] - edge[:, 1]).std() == pytest.approx(0.05 * 2**0.5, rel=0.05)
+    assert soil.std() == pytest.approx(0.05, rel=0.05) == sides.std()
+
+
 def test_the_loss_of_the_mean_of_the_members():
     """Against numpy, on more rows than are computed at a time."""
     field, _, pools = worlds.trained()

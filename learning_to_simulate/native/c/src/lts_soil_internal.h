@@ -19,7 +19,7 @@ typedef struct {
 typedef struct {
   lts_place place;
   double level, origin, pose[3]; /* pose: u and height of the circle's centre, lean */
-  double memory[LTS_SOIL_MEMORIES][3], travelled, way, speed;
+  double memory[LTS_SOIL_MEMORIES][LTS_SOIL_MOTIONS], travelled, way, speed;
   double foremost[LTS_SOIL_STRIPS], dropped[LTS_SOIL_STRIPS];
   /* Of (19): m3 of the field that cells out of sight have risen, m2 that were cut there; what the soil carried falls
    * short of all that was cut, before a chunk left, and the way then. */

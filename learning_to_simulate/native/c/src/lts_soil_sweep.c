@@ -159,10 +159,10 @@ void lts_soil_advance(lts_soil *soil, lts_passage *p, const double pose[3], doub
     if (passed && pose[0] > w->foremost[j]) w->foremost[j] = pose[0];
     w->foremost[j] = fmin(w->foremost[j], pose[0] + m->window);
   }
-  const double motion[3] = {step[0], step[1], turn}, share = fmax(ds, 1e-30);
+  const double motion[LTS_SOIL_MOTIONS] = {step[0], step[1], turn, ds * ds / dt}, share = fmax(ds, 1e-30);
   for (int i = 0; i < LTS_SOIL_MEMORIES; ++i) { /* (7) */
     const double fade = exp(-ds / m->memories[i]);
-    for (int k = 0; k < 3; ++k) {
+    for (int k = 0; k < LTS_SOIL_MOTIONS; ++k) {
       w->memory[i][k] = fade * w->memory[i][k] + (1.0 - fade) * (motion[k] / share);
     }
   }
@@ -207,7 +207,7 @@ static void see_scalars(lts_soil *soil, const lts_passage *p) {
   const double below = w->pose[1] - soil->radius - soil->terrain->floor / soil->scale;
   const double owed = lts_soil_owed(soil, p);
   /* Soil hardly knows time: a tool that is faster than any that was taught feels what the fastest did. */
-  const double speed = fmin(w->speed, m->limits[3 * m->n_judged + LTS_SOIL_JUDGED_SPEED]);
+  const double fastest = m->limits[3 * m->n_judged + LTS_SOIL_JUDGED_SPEED];
   for (int j = 0; j < w->n_strip; ++j) {
     float *s = soil->scalars[j];
     s[LTS_SOIL_TIP] = (float)(w->pose[0] - w->origin);
@@ -217,9 +217,11 @@ static void see_scalars(lts_soil *soil, const lts_passage *p) {
     /* Farther behind, as of a tool that goes on in the air, it tells nothing of what is near. */
     s[LTS_SOIL_FOREMOST] = (float)(fmax(w->foremost[j], w->pose[0] - m->window) - w->origin);
     s[LTS_SOIL_WAY] = (float)w->way;
-    s[LTS_SOIL_SPEED] = (float)speed;
+    s[LTS_SOIL_SPEED] = (float)fmin(w->speed, fastest);
     for (int i = 0; i < LTS_SOIL_MEMORIES; ++i) {
-      for (int k = 0; k < 3; ++k) s[LTS_SOIL_MEMORY + 3 * i + k] = (float)w->memory[i][k];
+      float *of = s + LTS_SOIL_MEMORY + LTS_SOIL_MOTIONS * i;
+      for (int k = 0; k < 3; ++k) of[k] = (float)w->memory[i][k];
+      of[3] = (float)fmin(w->memory[i][3], fastest);
     }
     memcpy(s + LTS_SOIL_OWN, soil->own, (size_t)m->n_own * sizeof *s);
     const double cut = m->spacing * sum_of_cuts(p->surface + LTS_SOIL_ROW(soil, j),
