@@ -63,7 +63,7 @@ def curve(tool: str, seeds: int, num_steps: int | None) -> list[dict]:
             some = parts[seed % every :: every]
             pairs = (('load', part) for of_run in some for part in of_run)
             training.fit(field, training.pooled(pairs), progress=False)
-            row: dict[str, float] = {'runs': len(some), 'seed': seed}
+            row: dict[str, float] = {'every': every, 'runs': len(some), 'seed': seed}
             for name, columns in JUDGED.items():
                 errors = []
                 for test in tests:
@@ -80,14 +80,13 @@ def table(path: str) -> str:
     """The curves of the JSON: means over seeds."""
     rows = []
     for tool, found in files.read_json(path)['curves'].items():
-        counts = sorted({row['runs'] for row in found})
-        means = {
-            name: [np.mean([r[name] for r in found if r['runs'] == n]) for n in counts]
-            for name in ('force', 'drawbar_median')
-        }
-        for n, *values in zip(counts, *means.values(), strict=True):
-            rows.append((f'{tool}, {n} training runs', *values))
-        needed = [runs_for(WANTED, counts, errors) for errors in means.values()]
+        counts, *means = (
+            [np.mean([r[name] for r in found if r['every'] == every]) for every in PARTS]
+            for name in ('runs', 'force', 'drawbar_median')
+        )
+        for n, *values in zip(counts, *means, strict=True):
+            rows.append((f'{tool}, {n:.0f} training runs', *values))
+        needed = [runs_for(WANTED, counts, errors) for errors in means]
         rows.append((f'{tool}, runs for {WANTED}', *(f'{x:.0f}' if x else '' for x in needed)))
     return markdown.table(('', 'force, rel. L2', 'drawbar, rel. L2 (median)'), rows)
 

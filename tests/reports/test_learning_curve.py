@@ -18,14 +18,14 @@ def test_the_runs_that_a_power_law_needs():
 
 def test_the_table_has_means_over_seeds(tmp_path):
     found = [
-        {'runs': n, 'seed': s, 'force': 2.0 / n + 0.01 * s, 'drawbar_median': 0.3}
-        for n in (5, 10)
+        {'every': every, 'runs': n, 'seed': s, 'force': 2.0 / n + 0.01 * s, 'drawbar_median': 0.3}
+        for every, n in ((4, 2), (2, 5), (1, 10))
         for s in (0, 2)
     ]
     path = tmp_path / 'curve.json'
     path.write_text(json.dumps({'curves': {'wheel': found}}))
     lines = learning_curve.table(str(path)).splitlines()
-    assert lines[2] == '| wheel, 5 training runs | 0.41 | 0.3 |'
-    assert lines[3] == '| wheel, 10 training runs | 0.21 | 0.3 |'
+    assert lines[3] == '| wheel, 5 training runs | 0.41 | 0.3 |'
+    assert lines[4] == '| wheel, 10 training runs | 0.21 | 0.3 |'
     needed = 10 * (0.21 / 0.12) ** (0.6931 / 0.669)
-    assert lines[4] == f'| wheel, runs for 0.12 | {needed:.0f} |  |'
+    assert lines[5] == f'| wheel, runs for 0.12 | {needed:.0f} |  |'
