@@ -25,8 +25,8 @@ enum {
 #define LTS_SOIL_CONDITIONS 7   /* the last of what is judged */
 #define LTS_SOIL_JUDGED_SPEED 3 /* the number of the speed among what is judged */
 
-/* Scalars of a frame that come from the path; then memories [LTS_SOIL_MEMORIES][LTS_SOIL_MOTIONS], those of the tool, what is
- * carried, and the distance to the wall. */
+/* Scalars of a frame that come from the path; then memories [LTS_SOIL_MEMORIES][LTS_SOIL_MOTIONS], those of the
+ * tool, what is carried, and the distance to the wall. */
 enum {
   LTS_SOIL_TIP = 0, LTS_SOIL_HEIGHT = 1, LTS_SOIL_LEAN = 2, LTS_SOIL_AREA = 3, LTS_SOIL_FOREMOST = 4,
   LTS_SOIL_WAY = 5, LTS_SOIL_SPEED = 6, LTS_SOIL_MEMORY = 7, LTS_SOIL_OWN = 23
