@@ -75,6 +75,8 @@ def test_gravity_is_a_unit_of_time_and_friction_a_number(tool):
         np.testing.assert_array_equal(other.scalars[..., same], one.scalars[..., same])
         # Set down it was within 1 s of the field, of whatever gravity.
         np.testing.assert_allclose(other.scalars[..., fast], 2 * one.scalars[..., fast], 2e-3)
+        speed = names.index('speed')
+        np.testing.assert_allclose(other.scalars[..., speed], 2 * one.scalars[..., speed], 1e-5)
         assert other.scalars[0, 0, friction] == pytest.approx(np.tan(np.radians(30.0)))
         if 'stress' in names:  # grains are as stiff as ever
             k = names.index('stress')
