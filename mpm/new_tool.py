@@ -9,7 +9,7 @@ The outline is that of `mpm/bodies.py`. Runs of the solver with that tool (`mpm.
 dataset (`pca_tools.convert`); a soil field is trained on it, from the weights of a shipped one, of
 which each network stays that is no better on validation runs. Both are judged on runs that were
 kept back. The new one is taken where neither its soil nor its force is worse there, else the
-shipped one; that is written as a C project, an FMU and a page.
+shipped one; that is written in `--formats`.
 
     raw/  data/  model/  judged/  judged_as_it_is/  c/  fmu/  page.html  new_tool.json
 
@@ -37,6 +37,7 @@ KINDS = {'excavation': 'smooth,stops,reverse,lift', 'wheel': 'slip,stops,reverse
 WIDE = 0.5  # m; wider tools need the wide bin
 STATE = 'new_tool.json'
 ERRORS = ('soil_mm', 'force_relative_l2')
+FORMATS = ['c', 'fmu', 'page']
 
 
 class Work:
@@ -156,7 +157,7 @@ def main(values, arguments) -> None:
         inside = catalogue.bin_name(scene, cases[0])
         raw = work.at('raw', *filter(None, [inside]))
         work.do(
-            '1 of 7, runs of the solver', 'mpm.generate', f'--scene={scene.name}',
+            '1 of 5, runs of the solver', 'mpm.generate', f'--scene={scene.name}',
             f'--operator_seeds={FIRST_SEED}-{FIRST_SEED + count - 1}', f'--kinds={kinds}',
             f'--tool={tool_file}', f'--output_path={work.at("raw")}',
             f'--num_processes={values.num_processes}', f'--cluster={values.cluster}',
@@ -165,33 +166,31 @@ def main(values, arguments) -> None:
             # Runs of all kinds are kept back, and as many validate.
             share = kept / count
             work.do(
-                '2 of 7, dataset', 'pca_tools.convert', f'--raw_path={raw}',
+                '2 of 5, dataset', 'pca_tools.convert', f'--raw_path={raw}',
                 f'--output_path={work.at("data")}', f'--hold_out={",".join(cases[-kept:])}',
                 f'--split={1 - 2 * share!r},{share!r},{share!r}', '--frame_stride=4',
             )  # fmt: skip
         if not os.path.exists(work.at('model', 'config.json')):
             work.do(
-                '3 of 7, training', lts + 'train', '--model=soil_field', data, model,
+                '3 of 5, training', lts + 'train', '--model=soil_field', data, model,
                 f'--initial_weights={first}', f'--num_steps={values.num_steps}',
                 f'--set=learning_rate={values.learning_rate}',
             )  # fmt: skip
         for name, of in (('judged', model), ('judged_as_it_is', f'--model_path={first}')):
             if not os.path.exists(work.at(name, 'metrics.json')):
                 work.do(
-                    f'4 of 7, runs kept back, {name}', lts + 'train', '--mode=eval_rollout', data,
+                    f'4 of 5, runs kept back, {name}', lts + 'train', '--mode=eval_rollout', data,
                     of, f'--output_path={work.at(name)}',
                 )  # fmt: skip
         taken = model if is_taken(work) else f'--model_path={first}'
-        for number, kind, name, last in (
-            (5, 'c', 'c', 'c/export.json'), (6, 'fmu', 'fmu', 'fmu/export.json'),
-            (7, 'page', 'page.html', 'page.html'),
-        ):  # fmt: skip
-            if os.path.exists(work.at(last)):
+        for kind in values.formats:
+            name = 'page.html' if kind == 'page' else kind
+            if os.path.exists(work.at(name) if kind == 'page' else work.at(name, 'export.json')):
                 continue
             shutil.rmtree(work.at(name), ignore_errors=True)  # what a killed step left
             try:
                 work.do(
-                    f'{number} of 7, {kind}', lts + 'export', f'--format={kind}', data, taken,
+                    f'5 of 5, {kind}', lts + 'export', f'--format={kind}', data, taken,
                     f'--output_path={work.at(name)}',
                 )  # fmt: skip
             except ValueError:
@@ -222,5 +221,8 @@ if __name__ == '__main__':
     flags.DEFINE_integer('num_steps', 2000, 'Training steps of each network.', 1)
     flags.DEFINE_float('learning_rate', 1e-3, 'The first one.')
     flags.DEFINE_integer('num_processes', 2, 'Runs of the solver at a time.', 1)
+    flags.DEFINE_multi_enum(
+        'formats', FORMATS, FORMATS, 'What the model is written as; given again for each.'
+    )
     flags.DEFINE_string('cluster', '', 'Where runs are made: local:4, slurm:64, tcp://host:port.')
     command.start(main, n_argument=1)

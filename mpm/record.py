@@ -15,11 +15,13 @@ part by part in this order, so that what teaches most is there first:
     soils             60 paths in other soils
     tools             60 paths with other blades and with buckets
     trench            20 long cuts
+    spread            60 cuts whose heap is spread
     excavation_grid   40 of the 250 published cases
     wheel_free        120 free drives of the wheel, four kinds that take turns
     wheel_height      60 at a height that is given
     wheels            40 wheels of other sizes
     grousers          30 wheels with grousers
+    wheel_brief       300 short drives, each with a wheel and soil of its own
     wheel_grid        40 of the 243 published cases
 
 Any beginning of a part holds kinds and splits in proportion. A command that was interrupted,
@@ -54,11 +56,13 @@ PARTS = {
     'soils': (scenes.EXCAVATION, ('soils',)),
     'tools': (scenes.EXCAVATION, ('tools',)),
     'trench': (scenes.EXCAVATION, ('trench',)),
+    'spread': (scenes.EXCAVATION, ('spread',)),
     'excavation_grid': (scenes.EXCAVATION, ()),
     'wheel_free': (scenes.WHEEL, wheel_drives.TURNS),
     'wheel_height': (scenes.WHEEL, ('height',)),
     'wheels': (scenes.WHEEL, ('wheels',)),
     'grousers': (scenes.WHEEL, ('grousers',)),
+    'wheel_brief': (scenes.WHEEL, ('brief',)),
     'wheel_grid': (scenes.WHEEL, ()),
 }
 DIGESTS = 'digests.json'

@@ -21,12 +21,14 @@ RUNS = {
         **dict.fromkeys(('press', 'free', 'actuated'), 30),
         **dict.fromkeys(('beside', 'soils', 'tools'), 60),
         'trench': 20,
+        'spread': 60,
     },
     'wheel': {
         **dict.fromkeys(('slip', 'stops', 'reverse', 'load'), 30),
         'height': 60,
         'wheels': 40,
         'grousers': 30,
+        'brief': 300,
     },
 }
 TEST, VALID = 10, 5  # runs of each kind

@@ -34,10 +34,10 @@ CONDITIONS = {
     'cell': (0.0, np.nan),
 }
 APART = 0.1
-# Numbers of a frame that are judged: scalars, and what follows from bins about the tool and from
-# how near a wall is.
+# Numbers of a frame that are judged: scalars, and what follows from bins about the tool, from how
+# near a wall is, and from how far the tool has gone back in the soil.
 _SCALARS = ('lean', 'area', 'carried', 'speed')
-_OF_BINS = ('depth', 'bed_low', 'bed_high', 'uneven', 'wall', 'along')
+_OF_BINS = ('depth', 'bed_low', 'bed_high', 'uneven', 'wall', 'along', 'backed')
 # Bins so far from the tool tell of the ground under it and about it, m of the field.
 HERE, NEAR = 0.05, 0.25
 
@@ -107,6 +107,7 @@ class SoilField:
             AHEAD - frames.scalars[:, 0, columns['ahead']].astype(np.float64),
             # A tool that falls is faster than any that goes on.
             np.abs(along.astype(np.float64)) * speed,
+            np.maximum(frames.scalars[..., columns['foremost']].max(axis=1) - tip, 0.0),
         ]
         names = self.judged_names[: named(self.networks.tool)]
         own = [frames.scalars[..., columns[n]].max(axis=1) for n in names]

@@ -195,7 +195,6 @@ _LOAD = (
     *_MEMORY, Row('speed', 0.1), _AHEAD,
     Row('at.cut', 0.03, at=AT_TOOL), Row('at.surface - height', 0.05, at=AT_TOOL),
     Row('at.surface - at.cut - height', 0.02, 'tanh', at=AT_TOOL),
-    Row('at.since', RECENT, 'fade', at=AT_TOOL),
     *(Row('at.surface - height', 0.05, squash, at=(0.0,)) for squash in ('relu', 'relu2')),
     Row(_GAP, 0.002, 'tanh', at=(0.0,)), Row(_GAP, 0.0005, 'tanh', at=(0.0,)),
 )  # fmt: skip
@@ -205,6 +204,11 @@ _STANDS = (
     Row('at.surface - height', 0.05, at=(0.0,)),
     Row('height - at.surface', 0.03, 'relu', at=(0.0,)),
     *_AREA, Row('foremost - tip', 0.1), _AHEAD,
+)  # fmt: skip
+# What a blade strikes off that goes on over the terrain, and what it then has left.
+_LEFT = (Row('layer', 0.01), Row('carried - layer', 0.01), Row('carried - layer', 0.003, 'tanh'))
+_STRUCK = (
+    Row('struck', 0.02), Row('at.struck', 0.02, at=AROUND), Row('area_before', 0.003, 'tanh'),
 )  # fmt: skip
 _PAST_END, _ABOVE_CUT = 'abs(z) - half_width', 'y - surface + cut'
 _HERE = (
@@ -243,10 +247,14 @@ class Tables(NamedTuple):
     tool: Table
 
 
+def _tables(own, of_load=(), here=(), stands=()):
+    return Tables(
+        Table((*own, *of_load, *_LOAD)), Table(_SIDE), Table((*_HERE, *here)), Table(_OF_PARTICLE),
+        Table((*own, *_STANDS, *stands)),
+    )  # fmt: skip
+
+
 TABLES = {
-    name: Tables(
-        Table((*own, *more, *_LOAD)), Table(_SIDE), Table(_HERE), Table(_OF_PARTICLE),
-        Table((*own, *_STANDS)),
-    )
-    for name, own, more in (('blade', _BLADE, _PACE), ('wheel', _WHEEL, _BEARS))
-}  # fmt: skip
+    'blade': _tables(_BLADE, _PACE, _STRUCK, _LEFT),
+    'wheel': _tables(_WHEEL, _BEARS),
+}

@@ -20,6 +20,9 @@ MAX_STEP = sweep.WINDOW
 SET_DOWN = 0.05  # m of the field above all soil, from where a tool is set down
 UNDER = 0.1  # m of the field along the way from a tool, where terrain counts as under it
 BACK = 0.02  # m of the field behind its foremost place, from where a tool has turned back
+# Bounds of the factor by which a heap is drawn up for its volume: (20). On ways longer than any run
+# it must not pile up before the tool what that has left at its sides.
+FACTOR = 0.05, 4.0
 
 
 class Passage:
@@ -146,7 +149,9 @@ class Passage:
 
     def _advance(self, rows, turn, dt):
         turn = np.full(len(rows), turn)
-        self.state = sweep.advance(self.state, rows, turn, self._radius, dt, self._read)
+        self.state = sweep.advance(
+            self.state, rows, turn, self._radius, dt, self._read, strikes=self.tool.strikes
+        )
 
     def step(self, pose, dt: float) -> None:
         """Moves the tool in a straight line to a pose [7] within dt s; ValueError for a time that
@@ -244,7 +249,7 @@ class Passage:
         if self._keeps_volume():
             up, down = (np.maximum(sign * rise, 0.0).sum() for sign in (1, -1))
             goal = down - self._left_behind / self._cell
-            factor = np.clip(goal / max(up, 1e-12), *self.tool.factor)
+            factor = np.clip(goal / max(up, 1e-12), *FACTOR)
             rise = np.where(rise > 0, factor * rise, rise)
         self.terrain.write(cells, before + self.scale * rise)
         self._left[:] = self.terrain.seen.ravel()[cells]
@@ -298,9 +303,9 @@ class Passage:
         ahead = self.terrain.ahead(self.place, self.scale * s.tip[0]) / self.scale
         below = s.pose[:, 1] - self._radius - self.terrain.floor / self.scale
         of_passage = np.stack(
-            [self.carried, np.clip(below, 0.0, BELOW), np.full(len(level), min(ahead, AHEAD))],
-            axis=1,
-        )
+            [self.carried, np.clip(below, 0.0, BELOW), np.full(len(level), min(ahead, AHEAD)),
+             sweep.layer(s, self.tool.strikes)], axis=1,
+        )  # fmt: skip
         scalars = np.concatenate(
             [
                 sweep.scalars(s, level),

@@ -23,16 +23,17 @@ from learning_to_simulate import swept
 WINDOW = 0.45  # m behind and before the tool that count
 FORGET = 1.0  # m
 MEMORIES = (0.0005, 0.002, 0.008, 0.03)  # m
-# A place counts as fully cut below this depth, m; between, its influence grows with the depth, so
-# that nothing jumps when the tool first touches the soil.
+# A place counts as fully cut below this depth, m; between, it counts by its depth, so that nothing
+# jumps when the tool first touches the soil.
 TOUCH = 0.002
 # Soil farther than this from all that was cut has not moved, m.
 REACH = 0.35
 # How steeply the zone that has moved rises away from the cut: rise per length.
 RISE = 0.5
-# Channels of the bins of a frame: (3), height of the terrain over the level, (5), (6), (8), (9).
-CHANNELS = ('cut', 'surface', 'since', 'area_before', 'influence', 'disturbed')
-CUT, SURFACE, SINCE, AREA_BEFORE, INFLUENCE, DISTURBED = range(6)
+# Channels of the bins of a frame: (3), height of the terrain over the level, (5), (6), (8), (9),
+# (23).
+CHANNELS = ('cut', 'surface', 'since', 'area_before', 'influence', 'disturbed', 'struck')
+CUT, SURFACE, SINCE, AREA_BEFORE, INFLUENCE, DISTURBED, STRUCK = range(7)
 MOTIONS = ('along', 'up', 'turn', 'pace')  # d / ds, and ds over its duration, m/s: (7)
 # Scalars of a frame that come from the path; those of `tools.Tool.scalars` and `OF_PASSAGE` follow.
 SCALARS = (
@@ -41,8 +42,8 @@ SCALARS = (
 )  # fmt: skip
 
 # Soil that the tool has moved and not left behind, m2 (`passage`); how far below the tool the floor
-# is, and a wall ahead, m.
-OF_PASSAGE = ('carried', 'below', 'ahead')
+# is, and a wall ahead, m; soil of the layers that the tool can have left, m2: (24).
+OF_PASSAGE = ('carried', 'below', 'ahead', 'layer')
 
 Read = Callable[[np.ndarray], np.ndarray]
 
@@ -85,6 +86,8 @@ class Sweep(NamedTuple):
       last: [B, n] distance travelled at the last passage below the surface, m; `-FORGET` where
         there was none.
       area_before: [B, n], (6), m2.
+      struck: [B, n], (23), m.
+      begun: [B] 1 where the tool has cut as deep as `TOUCH`, less where it has cut less.
       pose: [B, 3] u and y of the circle's centre (m) and its turn: lean of a blade, rad.
       memory: [B, K, 4] of `MOTIONS`, (7).
       travelled: [B] length of the path, m.
@@ -99,6 +102,8 @@ class Sweep(NamedTuple):
     profile: np.ndarray
     last: np.ndarray
     area_before: np.ndarray
+    struck: np.ndarray
+    begun: np.ndarray
     pose: np.ndarray
     memory: np.ndarray
     travelled: np.ndarray
@@ -143,14 +148,16 @@ def start(pose, read: Read, grid: Grid = GRID) -> Sweep:
     pose = _checked('pose', pose)
     origin = pose[:, 0].copy()
     surface = _checked('terrain', read(origin[:, None] + grid.offsets))
-    none = np.zeros_like(origin)
+    none, never = np.zeros_like(origin), np.zeros_like(surface)
     return Sweep(
-        origin, surface, surface, np.full_like(surface, -FORGET), np.zeros_like(surface), pose,
+        origin, surface, surface, np.full_like(surface, -FORGET), never, never, none, pose,
         np.zeros((len(pose), len(MEMORIES), len(MOTIONS))), none, none, origin, none, none,
     )  # fmt: skip
 
 
-def advance(state: Sweep, pose, turn, radius, dt: float, read: Read, grid: Grid = GRID) -> Sweep:
+def advance(
+    state: Sweep, pose, turn, radius, dt: float, read: Read, grid: Grid = GRID, strikes: float = 0.0
+) -> Sweep:
     """Moves the circles in a straight line to their next poses; the state before is not changed.
 
     Args:
@@ -161,6 +168,7 @@ def advance(state: Sweep, pose, turn, radius, dt: float, read: Read, grid: Grid 
       dt: duration, s.
       read: see `start`; called where new bins come into sight.
       grid: bins.
+      strikes: `Tool.strikes`, m.
 
     Raises:
       ValueError: a time that does not pass; poses that are not finite.
@@ -177,8 +185,16 @@ def advance(state: Sweep, pose, turn, radius, dt: float, read: Read, grid: Grid 
     motion = np.stack([step[:, 0], step[:, 1], turn, ds**2 / dt], axis=1)
     motion /= np.maximum(ds, 1e-30)[:, None]
     fade = np.exp(-ds[:, None] / np.array(MEMORIES))[..., None]
+    deepest = (after.surface - after.profile).max(axis=1)
+    begun = np.maximum(state.begun, np.minimum(deepest / TOUCH, 1.0))
+    over = begun[:, None] * np.clip(state.surface + strikes - height, 0.0, strikes)
+    after = after._replace(begun=begun, struck=np.maximum(state.struck, over))  # (23)
+    # (6): what the tool passes over without a cut may come from what it has left.
+    is_new = (after.struck > 0) & ~(state.struck > 0) & ~(after.profile < after.surface)
+    there = np.maximum(area(state, grid) - layer(state, strikes, grid), 0.0)
+    known = np.where(is_new, there[:, None], state.area_before)
     return after._replace(
-        area_before=swept.area_before(state, after, area(state, grid), state.area_before),
+        area_before=swept.area_before(state, after, area(state, grid), known),
         pose=pose,
         memory=fade * state.memory + (1 - fade) * motion[:, None],  # (7)
         way=state.way + ds,
@@ -219,6 +235,7 @@ def _shifted(state, shift, origin, read, grid):
         profile=np.where(is_new, surface, _taken(state.profile, old)),
         last=np.where(is_new, state.travelled[:, None] - FORGET, _taken(state.last, old)),
         area_before=np.where(is_new, 0.0, _taken(state.area_before, old)),
+        struck=np.where(is_new, 0.0, _taken(state.struck, old)),
         dropped=state.dropped + grid.spacing * lost.sum(axis=1),
     )
 
@@ -240,6 +257,13 @@ def all_cut(state: Sweep, grid: Grid = GRID) -> np.ndarray:
     return state.dropped + grid.spacing * (state.surface - state.profile).sum(axis=1)
 
 
+def layer(state: Sweep, strikes: float, grid: Grid = GRID) -> np.ndarray:
+    """[B], m2: (24)."""
+    uncut = 1.0 - np.minimum((state.surface - state.profile) / TOUCH, 1.0)
+    passed = np.minimum(state.struck / TOUCH, 1.0)
+    return grid.spacing * (uncut * passed * (strikes - state.struck)).sum(axis=1)
+
+
 def cone(values, fall: float) -> np.ndarray:
     """C: the largest of all values [B, n], each lowered by `fall` per bin of distance."""
     # The largest so far from either side, in coordinates in which the slope of a cone is level.
@@ -252,13 +276,17 @@ def cone(values, fall: float) -> np.ndarray:
 def channels(state: Sweep, level, grid: Grid = GRID) -> np.ndarray:
     """float32 [B, n, C] of `CHANNELS`; heights from a level [B], m."""
     cut = state.surface - state.profile
+    touched = np.minimum(cut / TOUCH, 1.0)
+    passed = np.maximum(touched, np.minimum(state.struck / TOUCH, 1.0))
+    since = np.minimum(state.travelled[:, None] - state.last, FORGET)
     seen = [
         cut,  # (3)
         state.surface - np.asarray(level)[:, None],
-        np.minimum(state.travelled[:, None] - state.last, FORGET),  # (5)
+        FORGET - touched * (FORGET - since),  # (5)
         state.area_before,  # (6)
-        np.clip(3.0 * cone(np.minimum(cut / TOUCH, 1.0), grid.spacing / REACH), 0.0, 1.0),  # (8)
+        np.clip(3.0 * cone(passed, grid.spacing / REACH), 0.0, 1.0),  # (8)
         cone(cut, RISE * grid.spacing),  # (9)
+        state.struck,  # (23)
     ]
     return np.stack(seen, axis=-1).astype(np.float32)
 

@@ -70,9 +70,8 @@ class Tool(abc.ABC):
     largest_cell: ClassVar[float]
     # Over the soil, m of the field, beyond all that it was taught: what it has moved stays.
     lifted: ClassVar[float]
-    # Bounds of the factor by which a heap is drawn up for its volume, see (20) in `passage`. On
-    # ways that no run had, the networks of a wheel tell less than a quarter of its thin heaps.
-    factor: ClassVar[tuple[float, float]]
+    # Over the terrain, m of the field, up to where it strikes off what it has moved; 0: not at all.
+    strikes: ClassVar[float]
 
     def __post_init__(self):
         _check_positive(self, 'width', 'radius')
@@ -118,8 +117,7 @@ class Blade(Tool):
     bears = False
     least_soil = 0.05
     largest_cell = 0.04
-    lifted = 0.04
-    factor = (0.5, 4.0)
+    lifted = strikes = 0.04
     taught_widths: ClassVar = (0.15, 0.6)
     scalars = ('half_width', 'friction', 'radius', 'length', 'bucket', 'plates')
 
@@ -166,7 +164,7 @@ class Wheel(Tool):
     least_soil = 0.008
     largest_cell = 0.052
     lifted = 0.03
-    factor = (0.5, 10.0)
+    strikes = 0.0
     RIM: ClassVar = 0.1  # m of the field
     scalars = ('half_width', 'friction', 'radius', 'lugs', 'lug_height', 'stress')
 

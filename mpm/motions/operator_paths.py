@@ -18,6 +18,7 @@ soils: any of the first five, in soil of another friction angle, and in some of 
     under another gravity.
 tools: any of the first five, in the wide bin, with a blade of another width and height or a bucket.
 trench: one cut of 1.2 to 1.5 m, in a bin of 2 m.
+spread: `SPREAD_FRAMES` of a cut whose heap is then spread: the blade goes on above the bed.
 """
 
 import math
@@ -30,7 +31,7 @@ from mpm.motions.drive import Drive, poses
 from mpm.motions.levels import Levels, Track
 
 TURNS = ('smooth', 'stops', 'reverse', 'lift', 'disturbed')  # of seeds, if no kind is named
-KINDS = (*TURNS, 'halts', 'beside', 'soils', 'tools', 'trench')
+KINDS = (*TURNS, 'halts', 'beside', 'soils', 'tools', 'trench', 'spread')
 BINS = {'beside': 'wide', 'tools': 'wide', 'trench': 'long'}  # the others: the scene's own
 MAX_DEPTH, MIN_DEPTH = 0.10, 0.01  # m, of the edge below the flat surface
 MAX_SPEED = 0.15  # m/s along the bed
@@ -51,6 +52,8 @@ FARTHEST = 1.5  # widths, between neighbouring cuts
 FRICTION_DEG, DENSITY = (28.0, 43.0), (1300.0, 1900.0)  # deg, kg/m3
 GRAVITIES = (1.62, 3.72)  # m/s2, Moon and Mars
 TRENCH = (1.2, 1.5)  # m
+SPREAD_FRAMES, LAYERS = 220, (0.003, 0.038)  # m, of the edge above the bed
+LEAST_SPREAD_FRAMES = 40
 
 _STEEP_SHARE, _NARROW_SHARE, _ELSEWHERE_SHARE = 0.25, 0.3, 0.5
 
@@ -108,7 +111,7 @@ def operator_drive(
         lambda: _draw(rng, scene, kind, tool), scene.bin, f'the kind {kind!r}, seed {seed}',
         lambda drive, drawn: _is_fine(drive, scene.bin, drawn),
     )  # fmt: skip
-    if kind != 'trench':  # as long as any run
+    if kind not in ('trench', 'spread'):  # as long as any run
         del drawn['frames']
     return drive, parameters | drawn
 
@@ -162,9 +165,12 @@ def _draw(rng, scene, kind, tool) -> tuple[Drive, dict]:
     if kind == 'trench':
         seconds = _trench(rng, story)
     else:
+        if kind == 'spread':
+            seconds = SPREAD_FRAMES / scenes.FRAME_RATE
         {
-            'smooth': _smooth, 'halts': _smooth, 'stops': _stops, 'reverse': _reverse, 'lift': _lift
-        }[plot](rng, story, begin + scenes.DURATION)  # fmt: skip
+            'smooth': _smooth, 'halts': _smooth, 'stops': _stops, 'reverse': _reverse,
+            'lift': _lift, 'spread': _spread,
+        }[plot](rng, story, begin + seconds)  # fmt: skip
     speed, depth, lean = (story.levels(name) for name in ('speed', 'depth', 'lean'))
     clock = _halting_clock(rng) if kind == 'halts' else np.asarray
     middle = box.z_middle - 0.5 * (min(offsets) + max(offsets))
@@ -221,6 +227,8 @@ def _is_fine(drive, box, parameters) -> bool:
     if plot == 'lift':  # back in the soil for a while
         out = np.flatnonzero(np.diff(is_below.astype(int)) == -1)
         return len(out) > 0 and np.count_nonzero(is_below[out[0] + 1 :]) >= SECOND_CUT_FRAMES  # type: ignore[return-value]
+    if plot == 'spread':
+        return bool(np.count_nonzero(~is_below[np.argmax(is_below) :]) >= LEAST_SPREAD_FRAMES)
     if plot == 'reverse':
         return float((x - np.minimum.accumulate(x)).max()) >= LEAST_REVERSE
     return True
@@ -288,6 +296,17 @@ def _lift(rng, story, end) -> None:
     story.go(rng.uniform(0.2, 0.4), 0.0 if back else 0.03)
     story.go(rng.uniform(0.5, 0.8), _cut_speed(rng), rng.uniform(0.02, 0.08))
     story.go(max(end - story.time, 0.3), _cut_speed(rng))
+
+
+def _spread(rng, story, end) -> None:
+    story.go(rng.uniform(0.4, 0.7), rng.uniform(0.11, MAX_SPEED), rng.uniform(0.02, 0.08))
+    story.go(rng.uniform(0.3, 0.8), rng.uniform(0.11, MAX_SPEED))
+    for _ in range(rng.integers(1, 3)):
+        story.go(rng.uniform(0.3, 0.6), rng.uniform(0.08, MAX_SPEED), -rng.uniform(*LAYERS))
+        story.go(rng.uniform(0.3, 0.7), rng.uniform(0.11, MAX_SPEED))
+    if rng.random() < 0.3:
+        story.go(rng.uniform(0.3, 0.6), rng.uniform(0.08, MAX_SPEED), rng.uniform(0.02, 0.06))
+    story.go(max(end - story.time, 0.3), rng.uniform(0.11, MAX_SPEED))
 
 
 def _trench(rng, story) -> float:

@@ -14,6 +14,8 @@ height: as slip or reverse, and the height is the vehicle's: it sinks, bobs and 
 wheels: any of the first four, with a wheel of another radius and width, in soil of another friction
     angle; the load is in proportion to the wheel's size.
 grousers: as slip, with a wheel that has grousers.
+brief: `BRIEF` frames of wheels, grousers or height, with a wheel and soil of its own: what differs
+    from wheel to wheel and soil to soil teaches more than a longer drive of one.
 """
 
 import numpy as np
@@ -24,7 +26,8 @@ from mpm.motions.drive import Drive, poses
 from mpm.motions.levels import Levels, Track
 
 TURNS = ('slip', 'stops', 'reverse', 'load')  # of seeds, if no kind is named
-KINDS = (*TURNS, 'height', 'wheels', 'grousers')
+KINDS = (*TURNS, 'height', 'wheels', 'grousers', 'brief')
+BRIEF = 100  # frames
 MAX_RIM_SPEED = 0.04  # m/s; the grid of cases has 0.0195
 SLIPS = (-0.1, 0.9)
 LOAD_FACTORS = (0.5, 1.5)
@@ -40,9 +43,9 @@ _MOON = 2.0  # m/s2
 class _Story(Track):
     """A drive while it is drawn: its rim speed and travel, m/s."""
 
-    def __init__(self, rng):
+    def __init__(self, rng, slowest):
         super().__init__(rim=0.0, travel=0.0)
-        self._rng = rng
+        self._rng, self._slowest = rng, slowest
 
     def go(self, seconds, rim, slip) -> None:
         """Goes to a rim speed (m/s, forward) at a slip in `seconds`."""
@@ -50,7 +53,7 @@ class _Story(Track):
 
     def roll(self, seconds, direction=1.0) -> None:
         """Goes to a rim speed and slip that are drawn."""
-        rim = direction * self._rng.uniform(0.005, MAX_RIM_SPEED)
+        rim = direction * self._rng.uniform(self._slowest, MAX_RIM_SPEED)
         self.go(seconds, rim, self._rng.uniform(*SLIPS))
 
 
@@ -68,8 +71,10 @@ def free_drive(
     while context['diameter_m'] < _SMALL and context['gravity_m_s2'] < _MOON:
         context = _draw_context(rng, scene)
     load = scenes.wheel_load(context)
-    if kind in ('wheels', 'grousers') or tool is not None:
-        tool = tool or _draw_wheel(rng, kind == 'grousers')
+    if kind in ('wheels', 'grousers', 'brief') or tool is not None:
+        tool = tool or _draw_wheel(
+            rng, kind == 'grousers' or kind == 'brief' and rng.random() < 0.4
+        )
         context['diameter_m'] = round(2.0 * tool['radius'], 6)
         context['friction_angle_deg'] = round(rng.uniform(*FRICTION_DEG), 2)
         pressure = rng.uniform(*PRESSURE) * context['gravity_m_s2'] / scenes.EARTH_GRAVITY
@@ -107,25 +112,29 @@ def _draw_wheel(rng, has_grousers) -> dict:
 
 
 def _draw(rng, scene, kind, wheel, mean_load, context) -> tuple[Drive, dict]:
-    box, story = scene.bin, _Story(rng)
+    box, story = scene.bin, _Story(rng, 0.02 if kind == 'brief' else 0.005)
+    seconds = BRIEF / scenes.FRAME_RATE if kind == 'brief' else scenes.DURATION
+    frames = round(seconds * scenes.FRAME_RATE)
     start_x = grid.WHEEL_START_X - rng.choice([0.0, rng.uniform(0.0, 0.06)])
-    plot = kind
-    if kind == 'wheels':
+    plot, at_height = kind, kind == 'height'
+    if kind == 'brief':
+        plot, at_height = str(rng.choice(('slip', 'load'))), rng.random() < 0.5
+    elif kind == 'wheels':
         plot = str(rng.choice(TURNS))
-    elif kind == 'height':
+    elif at_height:
         plot = 'reverse' if rng.random() < 0.4 else 'slip'
-    {'stops': _stops, 'reverse': _reverse}.get(plot, _slip)(rng, story)
+    {'stops': _stops, 'reverse': _reverse}.get(plot, _slip)(rng, story, seconds)
     rim, travel = story.levels('rim'), story.levels('travel')
-    shown = np.linspace(0.0, scenes.DURATION, round(scenes.DURATION * scenes.FRAME_RATE) + 1)
+    shown = np.linspace(0.0, seconds, frames + 1)
     parameters = {'plot': plot, 'rim_speed_max_m_s': round(float(np.abs(rim(shown)).max()), 6)}
     machine, height = None, None
-    if kind == 'height':
-        height = _bobbing(rng, box, wheel)
+    if at_height:
+        height = _bobbing(rng, box, wheel, seconds)
     else:
-        factors, times = np.ones(2), np.array([0.0, scenes.DURATION])
+        factors, times = np.ones(2), np.array([0.0, seconds])
         if plot == 'load':
             inner = np.sort(rng.uniform(0.15, 0.9, rng.integers(2, 5)))
-            times = scenes.DURATION * np.concatenate([[0.0], inner, [1.0]])
+            times = seconds * np.concatenate([[0.0], inner, [1.0]])
             times += np.arange(len(times)) * 0.2  # at least 0.2 s for a change
             low, high = LOAD_FACTORS
             if context['diameter_m'] < _SMALL and context['gravity_m_s2'] < scenes.EARTH_GRAVITY:
@@ -143,10 +152,12 @@ def _draw(rng, scene, kind, wheel, mean_load, context) -> tuple[Drive, dict]:
         return poses(times, x, y, turn, box.z_middle)
 
     rest = 0 if machine is None else grid.REST_FRAMES
+    if kind == 'brief':
+        parameters['frames'] = frames
     return Drive(wheel, pose, machine, rest=rest), parameters
 
 
-def _bobbing(rng, box, wheel) -> Levels:
+def _bobbing(rng, box, wheel, seconds) -> Levels:
     """Height of the axle over time, from above the soil down and up and down again."""
     base = box.surface + wheel.reach
 
@@ -154,9 +165,9 @@ def _bobbing(rng, box, wheel) -> Levels:
         return min(rng.uniform(*SINKAGE) * wheel.radius, DEEPEST)
 
     times, heights = [0.0, 0.1], [base + 0.004] * 2
-    times.append(rng.uniform(0.5, 1.2))
+    times.append(rng.uniform(0.5, 1.2) * min(seconds / 3.0, 1.0))
     heights.append(base - min(abs(sinkage()), DEEPEST))
-    while times[-1] < scenes.DURATION:
+    while times[-1] < seconds:
         times.append(times[-1] + rng.uniform(0.15, 1.2))
         step = rng.uniform(-0.004, 0.004) if rng.random() < 0.6 else None
         height = heights[-1] + step if step is not None else base - sinkage()
@@ -164,12 +175,12 @@ def _bobbing(rng, box, wheel) -> Levels:
     return Levels(times, heights)
 
 
-def _slip(rng, story) -> None:
-    while story.time < scenes.DURATION:
-        story.roll(rng.uniform(0.5, 1.5))
+def _slip(rng, story, seconds) -> None:
+    while story.time < seconds:
+        story.roll(rng.uniform(0.5, 1.5) * min(seconds / 3.0, 1.0))
 
 
-def _stops(rng, story) -> None:
+def _stops(rng, story, seconds) -> None:
     story.roll(rng.uniform(0.4, 0.8))
     for _ in range(rng.integers(1, 3)):
         story.roll(rng.uniform(0.3, 0.8))
@@ -177,14 +188,14 @@ def _stops(rng, story) -> None:
         rim = rng.choice([0.0, rng.uniform(0.005, MAX_RIM_SPEED)])
         story.go(rng.uniform(0.2, 0.5), rim, 1.0)
         story.go(rng.uniform(0.3, 0.8), rim, 1.0)
-    _slip(rng, story)
+    _slip(rng, story, seconds)
 
 
-def _reverse(rng, story) -> None:
+def _reverse(rng, story, seconds) -> None:
     story.roll(rng.uniform(0.4, 0.8))
     story.roll(rng.uniform(0.4, 0.9))
     story.go(rng.uniform(0.2, 0.5), 0.0, 0.0)
     story.roll(rng.uniform(0.3, 0.6), -1.0)
     story.roll(rng.uniform(0.4, 0.9), -1.0)
     story.go(rng.uniform(0.2, 0.5), 0.0, 0.0)
-    _slip(rng, story)
+    _slip(rng, story, seconds)

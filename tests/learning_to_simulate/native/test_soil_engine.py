@@ -11,6 +11,7 @@ import pytest
 from learning_to_simulate.live.poses import turned
 from learning_to_simulate.native import library, soil_data, soil_engine
 from learning_to_simulate.native.binding import KERNELS
+from learning_to_simulate.soil_field import sweep
 from learning_to_simulate.soil_field.loaded import LoadedTool
 from learning_to_simulate.soil_field.stepper import SoilStepper
 from learning_to_simulate.soil_field.terrain import Terrain
@@ -116,7 +117,7 @@ def test_frames_as_the_networks_see_them_and_what_these_say():
         c, tf = both(terrain)
         drive((c, tf), path(30, 0.4))
         passage = tf._engine._passage
-        bins = np.empty((n_strip, 261, 6), np.float32)
+        bins = np.empty((n_strip, 261, len(sweep.CHANNELS)), np.float32)
         scalars = np.empty((n_strip, passage.frame.scalars.shape[-1]), np.float32)
         assert c._engine.call('see', bins, scalars) == n_strip
         np.testing.assert_allclose(bins, passage.frame.bins[0], atol=1e-6)
@@ -430,7 +431,7 @@ def test_flags_word_for_word():
         ('half_width', [0.5, 0.6], 'half_width'), ('depth', [0.5, 0.6], 'depth'),
         ('bed_low', [0.5, 0.6], 'bed_low'), ('bed_high', [0.5, 0.6], 'bed_high'),
         ('uneven', [0.5, 0.6], 'uneven'), ('wall', [0.5, 0.6], 'wall'),
-        ('along', [0.5, 0.6], 'along'),
+        ('along', [0.5, 0.6], 'along'), ('backed', [0.5, 0.6], 'backed'),
     ):  # fmt: skip
         pair = both(hills(), made=ranged(**{name: value}))
         frame, _ = drive(pair, path(20, 0.2), **place)

@@ -90,8 +90,8 @@ def test_in_the_air_there_is_no_load_and_soil_rests(name):
 
 
 @pytest.mark.parametrize('tool', [Blade, Wheel])
-def test_weights_of_a_model_take_at_most_400_kb(tool):
+def test_weights_of_a_model_take_at_most_400_kib(tool):
     members = settings.PRESETS['soil_field'].members
     nets = network.SoilNetworks(tool, members, 0)
     numbers = sum(np.prod(v.shape) for v in nets.trainable_variables)
-    assert members == 3 and 4 * numbers <= 400e3
+    assert members == 3 and 4 * numbers <= 400 * 1024

@@ -96,7 +96,8 @@ def test_a_frame_holds_place_speed_and_wall_in_units_of_the_field():
     assert seen['speed'] == pytest.approx(0.05 / DT * np.sqrt(2.0), rel=1e-6)
     for u in (0.9, 1.7, 2.5):
         passage.step(poses([[u, 0.4, 0.0]])[0], DT)
-    assert passage.frame.scalars[0, 0, -1] == pytest.approx(0.25)
+    ahead = network.names_of(tool).index('ahead')
+    assert passage.frame.scalars[0, 0, ahead] == pytest.approx(0.25)
     assert passage.frame.scalars[0, 0, sweep.SCALARS.index('tip')] == pytest.approx(0.25)
 
 

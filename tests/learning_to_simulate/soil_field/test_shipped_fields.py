@@ -101,6 +101,31 @@ def test_a_tool_that_turns_back_over_its_trench_leaves_it(name):
     np.testing.assert_allclose(soil.heights[middle].mean(), low[middle].mean(), rtol=0.15)
 
 
+def test_a_blade_that_goes_on_over_the_ground_spreads_its_heap_in_a_layer():
+    """As in the solver's runs: what lies before it stays before it, less the layer."""
+    cut, soil = way('excavation'), ground()
+    up = cut[-1] + np.linspace(0.0, 1.0, 49)[1:, None] * [0.08, DEPTH['excavation'] + 0.02, 0.0]
+    on = up[-1] + np.linspace(0.0, 1.0, 109)[1:, None] * [0.18, 0.0, 0.0]
+    tool, pose = stepper('excavation', soil), poses(np.concatenate([cut, up, on]))
+    tool.start(pose[0])
+    assert {tool.step(p, DT).status for p in pose[1:]} == {'ok'}
+    (x, z), u = soil.middles, on[-1, 0]
+    middle = soil.heights[:, np.abs(z) < 0.1].mean(axis=1)
+    left, heap = (middle[(-x > a) & (-x < b)] for a, b in ((0.5, u - 0.03), (u, u + 0.25)))
+    assert 0.013 < left.mean() < 0.025 and np.ptp(left) < 0.012
+    assert heap.max() > 0.04
+
+
+def test_a_blade_that_goes_back_through_the_soil_farther_than_taught_is_flagged():
+    """Behind its foremost cut, farther than in any run of training."""
+    cut, tool = way('excavation'), stepper('excavation', ground())
+    back = cut[-1] - np.linspace(0.0, 1.0, 120)[1:, None] * [0.3, 0.0, 0.0]
+    pose = poses(np.concatenate([cut, back]))
+    tool.start(pose[0])
+    frames = [tool.step(p, DT).now for p in pose[1:]]
+    assert frames[len(cut) + 30].status == 'ok' and frames[-1].reason.startswith('backed ')
+
+
 def test_a_blade_that_halts_at_once_is_relieved_and_one_that_slows_down_is_not():
     """As in the solver's runs: soil that is fast slides on for v^2 / (2 mu g), some millimetres."""
     u, t = way('excavation', 160), np.linspace(0.0, 1.0, 160)
@@ -134,8 +159,7 @@ def test_a_scene_turned_and_moved_has_turned_forces_and_heights(name):
 
 
 def test_a_mirrored_scene_has_mirrored_forces_and_heights(name):
-    """Beside a trench, on all strips. Soil slides pair by pair, which leaves half a millimetre, and
-    a place that is touched or not has another `since`."""
+    """Beside a trench, on all strips. Soil slides pair by pair, which leaves half a millimetre."""
     found, ends = [], []
     for side in (1, -1):
         soil = ground()
@@ -146,7 +170,7 @@ def test_a_mirrored_scene_has_mirrored_forces_and_heights(name):
         found.append(go(tool, second if side > 0 else mirrored(second)))
         ends.append(soil.heights.copy())
     signs = [1, 1, -1, -1, -1, 1]
-    np.testing.assert_allclose(found[1], found[0] * signs, atol=2e-2 * np.abs(found[0]).max())
+    np.testing.assert_allclose(found[1], found[0] * signs, atol=8e-3 * np.abs(found[0]).max())
     np.testing.assert_allclose(ends[1], ends[0][:, ::-1], atol=2e-3)
 
 
@@ -191,6 +215,18 @@ def test_a_second_pass_in_a_trench_of_a_blade_needs_less():
     again = go(tool, poses(way('excavation')[:160]))
     middle = slice(100, 160)  # before the heap
     assert again[middle, 0].mean() < 0.6 * first[middle, 0].mean()
+
+
+def test_a_long_way_of_a_wheel_makes_no_soil():
+    """Ten times as far as any run: the heap stays that of a wheel, and no larger than the rut."""
+    soil = lts.Terrain.flat((6.0, 1.0), corner=(-5.5, -0.5), floor=-0.5)
+    u, radius = np.linspace(0.0, 5.0, 1500), TOOLS['wheel'].radius
+    lean = (-u / 0.7 / radius + np.pi) % (2 * np.pi) - np.pi
+    height = radius + 0.01 - 0.02 * np.minimum(10 * u, 1.0)
+    go(stepper('wheel', soil), poses(np.stack([u, height, lean], axis=1)))
+    heap, rut = (np.maximum(sign * soil.heights, 0.0) for sign in (1, -1))
+    assert rut.max() > 0.005 and 0.002 < heap.max() < 0.04
+    assert heap.sum() < 1.05 * rut.sum()
 
 
 def test_the_order_of_tools_far_apart_does_not_matter():

@@ -8,10 +8,12 @@ from learning_to_simulate.soil_field import sweep
 from tests.learning_to_simulate.soil_field.scenes import DT
 
 RADIUS = 0.0193  # no bin lies at the very end of the circle
-# Down, along, back, up and away; lean as it comes.
+STRIKES = 0.04
+# Down, along, back, up, back over the terrain and down again; lean as it comes.
 PATH = np.array(
     [[0.003, 0.05, 0.0], [0.021, 0.0, 0.1], [0.06, -0.03, 0.3], [0.142, -0.05, 0.2],
-     [0.253, -0.02, 0.1], [0.2, -0.04, 0.2], [0.252, -0.05, 0.3], [0.271, 0.06, 0.3]]
+     [0.253, -0.02, 0.1], [0.2, -0.04, 0.2], [0.252, -0.05, 0.3], [0.271, 0.06, 0.3],
+     [0.14, 0.055, 0.2], [0.01, 0.05, 0.2], [-0.05, 0.03, 0.1], [-0.07, -0.01, 0.1]]
 )  # fmt: skip
 TURN = 0.1 * np.diff(PATH[:, 2])
 
@@ -31,7 +33,7 @@ def run(path, turn, read=ground, grid=sweep.GRID, dt=DT):
     for pose, x in zip(path[1:], turn, strict=True):
         radius = np.full(2, RADIUS)
         pose, x = np.repeat(pose[None], 2, axis=0), np.full(2, x)
-        states.append(sweep.advance(states[-1], pose, x, radius, dt, read, grid))
+        states.append(sweep.advance(states[-1], pose, x, radius, dt, read, grid, STRIKES))
     return states
 
 
@@ -41,6 +43,7 @@ def drawn(path, turn, n=2000):
     surface = ground(np.stack([u, u]))
     profile, foremost, way = surface.copy(), np.full(2, path[0, 0]), 0.0
     last, before = np.full(surface.shape, -np.inf), np.zeros_like(surface)
+    struck, begun, layer = np.zeros_like(surface), np.zeros((2, 1)), np.zeros(2)
     motions, travelled, found = [], 0.0, []
     for a, b, x in zip(path[:-1], path[1:], turn):
         place = np.linspace(a[:2], b[:2], n)
@@ -49,6 +52,14 @@ def drawn(path, turn, n=2000):
         e = np.where(square >= 0, place[:, 1:] - np.sqrt(np.abs(square)), np.inf).min(axis=0)
         new = np.minimum(profile, e)
         before = np.where((new < surface) & (profile == surface), area[:, None], before)
+        begun = np.maximum(begun, np.minimum((surface - new).max(axis=1) / 0.002, 1)[:, None])
+        over = np.maximum(struck, begun * np.clip(surface + STRIKES - e, 0, STRIKES))
+        is_new = (over > 0) & (struck == 0) & (new == surface)
+        before = np.where(is_new, np.maximum(area - layer, 0)[:, None], before)
+        struck = over
+        thick = np.where(struck > 0.002, STRIKES - struck, struck / 0.002 * (STRIKES - struck))
+        shallow = 1 - np.minimum((surface - new) / 0.002, 1)
+        layer = 0.005 * (shallow * thick).sum(axis=1)
         travelled += np.linalg.norm(b[:2] - a[:2])
         last = np.where(e < surface, travelled, last)
         foremost = np.where((e < surface).any(axis=1), np.maximum(foremost, b[0]), foremost)
@@ -59,7 +70,7 @@ def drawn(path, turn, n=2000):
         found.append(
             {'profile': profile, 'since': np.minimum(travelled - last, sweep.FORGET), 'way': way,
              'area_before': before, 'foremost': foremost, 'memory': memory(motions),
-             'speed': ds / DT, 'cut': surface - profile}
+             'speed': ds / DT, 'cut': surface - profile, 'struck': struck, 'layer': layer}
         )  # fmt: skip
     return found
 
@@ -83,8 +94,14 @@ def test_a_sweep_is_that_of_a_circle_drawn_along_the_path():
         assert (state.profile <= want['profile'] + 1e-12).all()
         np.testing.assert_allclose(bins[..., sweep.CUT], want['cut'], atol=wrong.max() + 1e-7)
         close = wrong < 1e-5
-        for name, channel in (('since', sweep.SINCE), ('area_before', sweep.AREA_BEFORE)):
-            np.testing.assert_allclose(bins[..., channel][close], want[name][close], atol=2e-5)
+        # A place that is hardly cut counts as passed by its share.
+        share = np.minimum(want['cut'] / 0.002, 1.0)
+        want['since'] = sweep.FORGET - share * (sweep.FORGET - want['since'])
+        for name in ('since', 'area_before', 'struck'):
+            found = bins[..., sweep.CHANNELS.index(name)]
+            bound = 2e-5 if name != 'since' else 2e-5 + wrong[close].max() / 0.002
+            np.testing.assert_allclose(found[close], want[name][close], atol=bound)
+        np.testing.assert_allclose(sweep.layer(state, STRIKES), want['layer'], atol=5e-5)
         seen = dict(zip(sweep.SCALARS, own.T))
         assert seen['way'] == pytest.approx(want['way'], rel=1e-6)
         assert seen['speed'] == pytest.approx(want['speed'], rel=1e-6)
@@ -95,10 +112,11 @@ def test_a_sweep_is_that_of_a_circle_drawn_along_the_path():
         for found in (own[0, 7:].reshape(want['memory'].shape), state.memory[1]):
             np.testing.assert_allclose(found / size, want['memory'] / size, atol=2e-3)
     assert states[-1].profile.min() < -0.065 and (wanted[-1]['area_before'] > 1e-3).sum() > 10
+    assert wanted[-1]['layer'].min() > 5e-4 and states[-1].begun.min() == 1
 
 
 def test_scalars_and_channels_have_their_names():
-    state = run(PATH, TURN)[-1]
+    state = run(PATH[:8], TURN[:7])[-1]
     level = np.array([0.1, -0.2])
     own, bins = sweep.scalars(state, level), sweep.channels(state, level)
     seen = dict(zip(sweep.SCALARS, own.T, strict=True))

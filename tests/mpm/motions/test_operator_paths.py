@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mpm.motions.operator_paths import KINDS
+from mpm.motions.operator_paths import KINDS, LAYERS, SPREAD_FRAMES
 from tests.mpm import small
 from tests.mpm.small import STEPS
 
@@ -20,7 +20,7 @@ def test_each_plot_shows_what_it_is_for(paths):
         x, depth = path.poses[::STEPS, 0], path.depth(path.poses[::STEPS])
         forward = -np.diff(x) * 60.0
         is_below = depth > 0.0
-        assert is_below.sum() > 60  # a second in the soil at least
+        assert is_below.sum() > (40 if kind == 'spread' else 60)  # about a second in the soil
         plot = path.parameters['plot']
         assert plot == kind or kind in ('disturbed', 'beside', 'soils', 'tools')
         if plot in ('smooth', 'halts', 'trench'):
@@ -35,10 +35,13 @@ def test_each_plot_shows_what_it_is_for(paths):
         if plot == 'lift':
             out = np.flatnonzero(np.diff(is_below.astype(int)) == -1)[0]
             assert is_below[out + 1 :].sum() >= 45
+        if plot == 'spread':
+            over = -depth[np.argmax(is_below) :]
+            assert (over > LAYERS[0]).sum() >= 30 and over.max() <= LAYERS[1] + 1e-9
         if kind == 'trench':
             assert 1.1 < np.ptp(x) < 1.6 and path.motion.frames > 320
         else:
-            assert path.motion.frames == 320
+            assert path.motion.frames == (SPREAD_FRAMES if kind == 'spread' else 320)
 
 
 def test_an_earlier_pass_cuts_the_bed_before_the_first_frame(paths):

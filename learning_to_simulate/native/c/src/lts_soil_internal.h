@@ -20,7 +20,7 @@ typedef struct {
   lts_place place;
   double level, origin, pose[3]; /* pose: u and height of the circle's centre, lean */
   double memory[LTS_SOIL_MEMORIES][LTS_SOIL_MOTIONS], travelled, way, speed;
-  double foremost[LTS_SOIL_STRIPS], dropped[LTS_SOIL_STRIPS];
+  double foremost[LTS_SOIL_STRIPS], dropped[LTS_SOIL_STRIPS], begun[LTS_SOIL_STRIPS];
   /* Of (19): m3 of the field that cells out of sight have risen, m2 that were cut there; what the soil carried falls
    * short of all that was cut, before a chunk left, and the way then. */
   double left_behind, dropped_there, owed, owed_at;
@@ -31,7 +31,7 @@ typedef struct {
 
 typedef struct {
   lts_way s;
-  double *surface, *profile, *last, *area_before; /* [strips][n_bin] */
+  double *surface, *profile, *last, *area_before, *struck; /* [strips][n_bin] */
 } lts_passage;
 
 /* Cells in sight, ascending: their numbers in the flat map, heights before the tool and as it left them (m), u and
@@ -50,7 +50,8 @@ typedef struct {
   int32_t strip[3][LTS_SOIL_LANES];
   float share[3][LTS_SOIL_LANES];
   float here[LTS_SOIL_CHANNELS][LTS_SOIL_LANES];
-  float area[LTS_SOIL_LANES], foremost[LTS_SOIL_LANES], carried[LTS_SOIL_LANES], gate[LTS_SOIL_LANES];
+  float area[LTS_SOIL_LANES], foremost[LTS_SOIL_LANES], carried[LTS_SOIL_LANES], layer[LTS_SOIL_LANES];
+  float gate[LTS_SOIL_LANES];
   size_t which[LTS_SOIL_LANES];
   int knows_tool; /* whether the inputs of all lanes hold what one strip shows of the tool */
 } lts_places;

@@ -88,6 +88,7 @@ int lts_soil_find_loads(lts_soil *soil, const lts_passage *p, int members, float
       at->area[i] = soil->scalars[under + k][LTS_SOIL_AREA];
       at->foremost[i] = soil->scalars[under + k][LTS_SOIL_FOREMOST];
       at->carried[i] = soil->scalars[under + k][LTS_SOIL_OWN + m->n_own];
+      at->layer[i] = soil->scalars[under + k][LTS_SOIL_OWN + m->n_own + 3];
       other[i] = !several ? 0 : i % 2 ? under + k + 1 : under + k - 1;
       base[i] = soil->scalars[0][LTS_SOIL_TIP];
     }

@@ -17,16 +17,16 @@
  * without its cut. */
 enum {
   LTS_SOIL_CUT = 0, LTS_SOIL_SURFACE = 1, LTS_SOIL_SINCE = 2, LTS_SOIL_AREA_BEFORE = 3, LTS_SOIL_INFLUENCE = 4,
-  LTS_SOIL_DISTURBED = 5, LTS_SOIL_BESIDE = 6
+  LTS_SOIL_DISTURBED = 5, LTS_SOIL_STRUCK = 6, LTS_SOIL_BESIDE = 7
 };
-#define LTS_SOIL_CHANNELS 6
+#define LTS_SOIL_CHANNELS 7
 #define LTS_SOIL_UNDER_ALONG 11 /* places at which soil is looked for that has risen under a tool in the air */
 #define LTS_SOIL_UNDER_ACROSS 5
 #define LTS_SOIL_CONDITIONS 7   /* the last of what is judged */
 #define LTS_SOIL_JUDGED_SPEED 3 /* the number of the speed among what is judged */
 
 /* Scalars of a frame that come from the path; then memories [LTS_SOIL_MEMORIES][LTS_SOIL_MOTIONS], those of the
- * tool, what is carried, and the distance to the wall. */
+ * tool, what is carried, how far below it the floor and ahead a wall is, and what it can have left. */
 enum {
   LTS_SOIL_TIP = 0, LTS_SOIL_HEIGHT = 1, LTS_SOIL_LEAN = 2, LTS_SOIL_AREA = 3, LTS_SOIL_FOREMOST = 4,
   LTS_SOIL_WAY = 5, LTS_SOIL_SPEED = 6, LTS_SOIL_MEMORY = 7, LTS_SOIL_OWN = 23
@@ -54,7 +54,8 @@ struct lts_soil_model {
   double taught_widths[2], rim, lean_length, standard_density, standard_gravity;
   /* Passage. */
   double ahead, below_tool, even, max_step, set_down, factor[2]; /* factor: of (20) */
-  double lifted, under, turned_back; /* m over the soil; under a tool along the way; behind its foremost place */
+  double lifted, under, turned_back, strikes; /* m over the soil; under a tool along the way; behind its foremost
+                                                * place; over the terrain */
   /* Terrain: of soil that slides. */
   int32_t slides, unused_slides;
   double slope_tolerance;

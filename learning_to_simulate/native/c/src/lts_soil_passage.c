@@ -70,6 +70,7 @@ void lts_soil_copy(const lts_soil *soil, lts_passage *to, const lts_passage *fro
   memcpy(to->profile, from->profile, n);
   memcpy(to->last, from->last, n);
   memcpy(to->area_before, from->area_before, n);
+  memcpy(to->struck, from->struck, n);
 }
 
 int lts_soil_begin(lts_soil *soil, lts_passage *p, const lts_pose *pose, int set_down) {
@@ -108,14 +109,15 @@ int lts_soil_begin(lts_soil *soil, lts_passage *p, const lts_pose *pose, int set
 }
 
 void lts_soil_take_all_strips(const lts_soil *soil, lts_passage *p) {
-  double *of[4] = {p->surface, p->profile, p->last, p->area_before};
+  double *of[5] = {p->surface, p->profile, p->last, p->area_before, p->struck};
   const int n = lts_soil_n_strip(soil);
   for (int j = 1; j < n; ++j) {
-    for (int i = 0; i < 4; ++i) {
+    for (int i = 0; i < 5; ++i) {
       memcpy(of[i] + LTS_SOIL_ROW(soil, j), of[i], LTS_SOIL_ROW(soil, 1) * sizeof **of);
     }
     p->s.foremost[j] = p->s.foremost[0];
     p->s.dropped[j] = p->s.dropped[0];
+    p->s.begun[j] = p->s.begun[0];
   }
   p->s.n_strip = n;
   p->s.looks = 0;

@@ -36,6 +36,7 @@ static int take(const lts_soil *soil, const lts_passage *p, int is_surface, cons
   at->here[LTS_SOIL_AREA_BEFORE][i] = lts_soil_channel(soil, LTS_SOIL_AREA_BEFORE, &spot);
   at->here[LTS_SOIL_INFLUENCE][i] = influence;
   at->here[LTS_SOIL_DISTURBED][i] = disturbed;
+  at->here[LTS_SOIL_STRUCK][i] = lts_soil_channel(soil, LTS_SOIL_STRUCK, &spot);
   /* Farther from and nearer to the middle. */
   const double sign = place[2] < 0.0 ? -1.0 : 1.0, away[3] = {0.0, m->neighbour, -m->neighbour};
   for (int k = 0; k < 3; ++k) {
@@ -44,8 +45,9 @@ static int take(const lts_soil *soil, const lts_passage *p, int is_surface, cons
   }
   const float *low = soil->scalars[strip], *high = soil->scalars[strip + (n_strip > 1)];
   const float b = at->share[0][i];
-  const int carried = LTS_SOIL_OWN + m->n_own;
+  const int carried = LTS_SOIL_OWN + m->n_own, layer = carried + 3;
   at->carried[i] = low[carried] + b * (high[carried] - low[carried]);
+  at->layer[i] = low[layer] + b * (high[layer] - low[layer]);
   at->area[i] = low[LTS_SOIL_AREA] + b * (high[LTS_SOIL_AREA] - low[LTS_SOIL_AREA]);
   at->foremost[i] = low[LTS_SOIL_FOREMOST] + b * (high[LTS_SOIL_FOREMOST] - low[LTS_SOIL_FOREMOST]);
   at->u[i] = u;

@@ -84,6 +84,7 @@ static size_t lay_out(const lts_soil_model *m, const lts_soil_tool *tool, const 
     TAKE(passage[i].profile, double, strips * bins)
     TAKE(passage[i].last, double, strips * bins)
     TAKE(passage[i].area_before, double, strips * bins)
+    TAKE(passage[i].struck, double, strips * bins)
     TAKE(cells[i].number, int32_t, cells)
     TAKE(cells[i].before, double, cells)
     TAKE(cells[i].left, double, cells)

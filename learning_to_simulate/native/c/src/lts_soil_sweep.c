@@ -28,13 +28,13 @@ void lts_soil_sweep_start(lts_soil *soil, lts_passage *p) {
   memcpy(p->profile, p->surface, n * sizeof *p->profile);
   for (size_t k = 0; k < n; ++k) {
     p->last[k] = -soil->model->forget;
-    p->area_before[k] = 0.0;
+    p->area_before[k] = p->struck[k] = 0.0;
   }
   memset(p->s.memory, 0, sizeof p->s.memory);
   p->s.travelled = p->s.way = p->s.speed = 0.0;
   for (int j = 0; j < p->s.n_strip; ++j) {
     p->s.foremost[j] = p->s.pose[0];
-    p->s.dropped[j] = 0.0;
+    p->s.dropped[j] = p->s.begun[j] = 0.0;
   }
 }
 
@@ -64,16 +64,16 @@ void lts_soil_shift(lts_soil *soil, lts_passage *p, double origin, int shift) {
   const int first = shift > 0 ? kept : 0; /* of the new bins */
   for (int j = 0; j < p->s.n_strip; ++j) {
     const size_t row = LTS_SOIL_ROW(soil, j);
-    double *of[4] = {p->surface + row, p->profile + row, p->last + row, p->area_before + row};
+    double *of[5] = {p->surface + row, p->profile + row, p->last + row, p->area_before + row, p->struck + row};
     const int lost = shift > 0 ? 0 : kept; /* the first bin that is dropped */
     p->s.dropped[j] += soil->model->spacing * sum_of_cuts(of[0], of[1], lost, lost + n - kept);
-    for (int i = 0; kept && i < 4; ++i) {
+    for (int i = 0; kept && i < 5; ++i) {
       memmove(of[i] + to, of[i] + from, (size_t)kept * sizeof **of);
     }
     for (int k = first; k < first + n - kept; ++k) {
       of[0][k] = of[1][k] = soil->fresh[row + (size_t)k];
       of[2][k] = p->s.travelled - soil->model->forget;
-      of[3][k] = 0.0;
+      of[3][k] = of[4][k] = 0.0;
     }
   }
   p->s.origin = origin;
@@ -98,6 +98,20 @@ static double area(const lts_soil *soil, const lts_passage *p, int strip) {
     }
   }
   return du * sum;
+}
+
+/* (24), of one strip. */
+static double layer(const lts_soil *soil, const lts_passage *p, int strip) {
+  const lts_soil_model *m = soil->model;
+  const size_t row = LTS_SOIL_ROW(soil, strip);
+  const double *s = p->surface + row, *q = p->profile + row, *struck = p->struck + row;
+  double sum = 0.0;
+  for (int k = 0; k < m->n_bin; ++k) {
+    if (!(struck[k] > 0.0 && struck[k] < m->strikes)) continue; /* nothing is left */
+    const double uncut = 1.0 - fmin((s[k] - q[k]) / m->touch, 1.0);
+    sum += uncut * fmin(struck[k] / m->touch, 1.0) * (m->strikes - struck[k]);
+  }
+  return m->spacing * sum;
 }
 
 /* Lowest height at `u` of a circle that goes straight between two centres; infinite where it has not been: (1). */
@@ -138,11 +152,20 @@ void lts_soil_advance(lts_soil *soil, lts_passage *p, const double pose[3], doub
   w->travelled += length;
   for (int j = 0; j < w->n_strip; ++j) {
     const size_t row = LTS_SOIL_ROW(soil, j);
-    double *surface = p->surface + row, *profile = p->profile + row, before = -1.0;
+    double *surface = p->surface + row, *profile = p->profile + row, *struck = p->struck + row;
+    double before = -1.0, left = -1.0, deepest = 0.0;
     int passed = 0;
     for (int k = begin; k < end; ++k) {
       const double height = soil->under[k];
-      if (!(height < surface[k])) continue;
+      if (!(height < surface[k])) {
+        if (height < surface[k] + m->strikes && !(struck[k] > 0.0) && !(profile[k] < surface[k])) {
+          /* (6): what the tool passes over without a cut may come from what it has left. */
+          if (before < 0.0) before = area(soil, p, j);
+          if (left < 0.0) left = layer(soil, p, j);
+          p->area_before[row + (size_t)k] = fmax(before - left, 0.0);
+        }
+        continue;
+      }
       passed = 1;
       p->last[row + (size_t)k] = w->travelled; /* (5) */
       if (!(profile[k] < surface[k])) {
@@ -154,6 +177,12 @@ void lts_soil_advance(lts_soil *soil, lts_passage *p, const double pose[3], doub
     /* (2), after all areas before. */
     for (int k = begin; passed && k < end; ++k) {
       if (soil->under[k] < profile[k]) profile[k] = soil->under[k];
+      deepest = fmax(deepest, surface[k] - profile[k]);
+    }
+    w->begun[j] = fmax(w->begun[j], fmin(deepest / m->touch, 1.0));
+    for (int k = begin; w->begun[j] > 0.0 && k < end; ++k) { /* (23) */
+      const double over = w->begun[j] * fmin(surface[k] + m->strikes - soil->under[k], m->strikes);
+      struck[k] = fmax(struck[k], over);
     }
     /* In the soil the tool makes itself a new foremost place. */
     if (passed && pose[0] > w->foremost[j]) w->foremost[j] = pose[0];
@@ -183,12 +212,19 @@ static void cone(double *values, int n, double fall) {
   }
 }
 
-static void see_reach(lts_soil *soil, const double *surface, const double *profile, size_t row) {
+/* What places see of the way behind, which the load does not. */
+static void see_past(lts_soil *soil, const lts_passage *p, size_t row) {
   const lts_soil_model *m = soil->model;
+  const double *surface = p->surface + row, *profile = p->profile + row, *struck = p->struck + row;
   double *touched = soil->first, *depth = soil->second;
   for (int k = 0; k < m->n_bin; ++k) {
+    const size_t i = row + (size_t)k;
+    const double way = fmin(p->s.travelled - p->last[i], m->forget);
     depth[k] = surface[k] - profile[k];
-    touched[k] = depth[k] / m->touch < 1.0 ? depth[k] / m->touch : 1.0;
+    touched[k] = fmin(fmax(depth[k], struck[k]) / m->touch, 1.0);
+    soil->bins[LTS_SOIL_SINCE][i] = (float)(m->forget - fmin(depth[k] / m->touch, 1.0) * (m->forget - way)); /* (5) */
+    soil->bins[LTS_SOIL_AREA_BEFORE][i] = (float)p->area_before[i];
+    soil->bins[LTS_SOIL_STRUCK][i] = (float)struck[k];
   }
   cone(touched, m->n_bin, m->spacing / m->reach);
   cone(depth, m->n_bin, m->rise * m->spacing);
@@ -229,6 +265,7 @@ static void see_scalars(lts_soil *soil, const lts_passage *p) {
     s[LTS_SOIL_OWN + m->n_own] = (float)(w->dropped[j] + cut + owed); /* (19) */
     s[LTS_SOIL_OWN + m->n_own + 1] = (float)fmin(fmax(below, 0.0), m->below_tool);
     s[LTS_SOIL_OWN + m->n_own + 2] = (float)fmin(ahead / soil->scale, m->ahead);
+    s[LTS_SOIL_OWN + m->n_own + 3] = (float)layer(soil, p, j);
   }
 }
 
@@ -243,20 +280,13 @@ void lts_soil_make_frame(lts_soil *soil, const lts_passage *p, int all) {
   const int high = all ? m->n_bin : (int)fmin(middle + reach + 2.0, (double)m->n_bin);
   for (int j = 0; j < p->s.n_strip; ++j) {
     const size_t row = LTS_SOIL_ROW(soil, j);
-    const double *surface = p->surface + row, *profile = p->profile + row, *last = p->last + row;
-    float *cut = soil->bins[LTS_SOIL_CUT] + row, *up = soil->bins[LTS_SOIL_SURFACE] + row,
-          *since = soil->bins[LTS_SOIL_SINCE] + row;
+    const double *surface = p->surface + row, *profile = p->profile + row;
+    float *cut = soil->bins[LTS_SOIL_CUT] + row, *up = soil->bins[LTS_SOIL_SURFACE] + row;
     for (int k = low; k < high; ++k) {
-      const double way = p->s.travelled - last[k];
       cut[k] = (float)(surface[k] - profile[k]); /* (3) */
       up[k] = (float)(surface[k] - p->s.level);
-      since[k] = (float)(way < m->forget ? way : m->forget);
     }
-    if (!all) continue;
-    for (int k = 0; k < m->n_bin; ++k) {
-      soil->bins[LTS_SOIL_AREA_BEFORE][row + (size_t)k] = (float)p->area_before[row + (size_t)k];
-    }
-    see_reach(soil, surface, profile, row);
+    if (all) see_past(soil, p, row);
   }
   soil->seen = p;
   soil->sees_all = all;

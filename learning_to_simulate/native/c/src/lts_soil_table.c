@@ -109,6 +109,8 @@ static void scalar_of(const reading *r, int index, float *x) {
     EACH(r->places->foremost[i]);
   } else if (index == LTS_SOIL_OWN + r->soil->model->n_own) {
     EACH(r->places->carried[i]);
+  } else if (index == LTS_SOIL_OWN + r->soil->model->n_own + 3) {
+    EACH(r->places->layer[i]);
   } else { /* all strips share it */
     const float value = r->soil->scalars[0][index];
     EACH(value);
