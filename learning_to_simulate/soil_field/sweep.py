@@ -191,10 +191,11 @@ def advance(
     after = after._replace(begun=begun, struck=np.maximum(state.struck, over))  # (23)
     # (6): what the tool passes over without a cut may come from what it has left.
     is_new = (after.struck > 0) & ~(state.struck > 0) & ~(after.profile < after.surface)
-    there = np.maximum(area(state, grid) - layer(state, strikes, grid), 0.0)
-    known = np.where(is_new, there[:, None], state.area_before)
+    there = area(state, grid)
+    left = np.maximum(there - layer(state, strikes, grid), 0.0)
+    known = np.where(is_new, left[:, None], state.area_before)
     return after._replace(
-        area_before=swept.area_before(state, after, area(state, grid), known),
+        area_before=swept.area_before(state, after, there, known),
         pose=pose,
         memory=fade * state.memory + (1 - fade) * motion[:, None],  # (7)
         way=state.way + ds,

@@ -14,7 +14,7 @@ static float contact(const lts_soil *soil, int strip) {
     const float height = lts_soil_channel_at(soil, LTS_SOIL_SURFACE, 1, strip, 0.0f, u);
     highest = height > highest ? height : highest;
   }
-  const float carried = s[LTS_SOIL_OWN + m->n_own];
+  const float carried = s[LTS_SOIL_OF_PASSAGE(m, CARRIED)];
   const float area = s[LTS_SOIL_AREA] > carried ? s[LTS_SOIL_AREA] : carried;
   const float heap = m->heap * sqrtf(area > 0.0f ? area : 0.0f);
   const float clearance = s[LTS_SOIL_HEIGHT] - s[m->radius] - highest;
@@ -87,8 +87,8 @@ int lts_soil_find_loads(lts_soil *soil, const lts_passage *p, int members, float
       at->share[0][i] = 0.0f;
       at->area[i] = soil->scalars[under + k][LTS_SOIL_AREA];
       at->foremost[i] = soil->scalars[under + k][LTS_SOIL_FOREMOST];
-      at->carried[i] = soil->scalars[under + k][LTS_SOIL_OWN + m->n_own];
-      at->layer[i] = soil->scalars[under + k][LTS_SOIL_OWN + m->n_own + 3];
+      at->carried[i] = soil->scalars[under + k][LTS_SOIL_OF_PASSAGE(m, CARRIED)];
+      at->layer[i] = soil->scalars[under + k][LTS_SOIL_OF_PASSAGE(m, LAYER)];
       other[i] = !several ? 0 : i % 2 ? under + k + 1 : under + k - 1;
       base[i] = soil->scalars[0][LTS_SOIL_TIP];
     }

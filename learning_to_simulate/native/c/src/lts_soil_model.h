@@ -31,6 +31,9 @@ enum {
   LTS_SOIL_TIP = 0, LTS_SOIL_HEIGHT = 1, LTS_SOIL_LEAN = 2, LTS_SOIL_AREA = 3, LTS_SOIL_FOREMOST = 4,
   LTS_SOIL_WAY = 5, LTS_SOIL_SPEED = 6, LTS_SOIL_MEMORY = 7, LTS_SOIL_OWN = 23
 };
+/* Of those behind the tool's. */
+enum { LTS_SOIL_CARRIED = 0, LTS_SOIL_BELOW = 1, LTS_SOIL_AHEAD = 2, LTS_SOIL_LAYER = 3 };
+#define LTS_SOIL_OF_PASSAGE(model, scalar) (LTS_SOIL_OWN + (model)->n_own + LTS_SOIL_##scalar)
 
 /* Layers of M networks, each from the first to the last. */
 typedef struct {

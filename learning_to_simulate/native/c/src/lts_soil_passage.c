@@ -109,10 +109,10 @@ int lts_soil_begin(lts_soil *soil, lts_passage *p, const lts_pose *pose, int set
 }
 
 void lts_soil_take_all_strips(const lts_soil *soil, lts_passage *p) {
-  double *of[5] = {p->surface, p->profile, p->last, p->area_before, p->struck};
+  double *of[LTS_SOIL_ROWS] = {p->surface, p->profile, p->last, p->area_before, p->struck};
   const int n = lts_soil_n_strip(soil);
   for (int j = 1; j < n; ++j) {
-    for (int i = 0; i < 5; ++i) {
+    for (int i = 0; i < LTS_SOIL_ROWS; ++i) {
       memcpy(of[i] + LTS_SOIL_ROW(soil, j), of[i], LTS_SOIL_ROW(soil, 1) * sizeof **of);
     }
     p->s.foremost[j] = p->s.foremost[0];

@@ -45,7 +45,7 @@ static int take(const lts_soil *soil, const lts_passage *p, int is_surface, cons
   }
   const float *low = soil->scalars[strip], *high = soil->scalars[strip + (n_strip > 1)];
   const float b = at->share[0][i];
-  const int carried = LTS_SOIL_OWN + m->n_own, layer = carried + 3;
+  const int carried = LTS_SOIL_OF_PASSAGE(m, CARRIED), layer = LTS_SOIL_OF_PASSAGE(m, LAYER);
   at->carried[i] = low[carried] + b * (high[carried] - low[carried]);
   at->layer[i] = low[layer] + b * (high[layer] - low[layer]);
   at->area[i] = low[LTS_SOIL_AREA] + b * (high[LTS_SOIL_AREA] - low[LTS_SOIL_AREA]);

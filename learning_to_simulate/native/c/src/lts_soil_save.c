@@ -13,7 +13,7 @@ typedef struct {
   lts_way way;
 } saved_soil;
 
-enum { N_ROWS = 5, N_PARTS = 10 };
+enum { N_PARTS = LTS_SOIL_ROWS + 5 };
 
 /* The other parts of a passage and its cells, and their bytes; of whole words of 8 bytes. */
 static size_t find_parts(const lts_soil *soil, const lts_passage *p, const lts_cells *c, int n_strip, int32_t n_cells,
@@ -23,8 +23,8 @@ static size_t find_parts(const lts_soil *soil, const lts_passage *p, const lts_c
   size_t all = sizeof(saved_soil);
   for (int i = 0; i < N_PARTS; ++i) {
     parts[i] = found[i];
-    sizes[i] = sizeof(double) * (i < N_ROWS ? LTS_SOIL_ROW(soil, n_strip) : (size_t)n_cells);
-    if (i == N_ROWS) sizes[i] = ((size_t)n_cells + 1) / 2 * sizeof(double);
+    sizes[i] = sizeof(double) * (i < LTS_SOIL_ROWS ? LTS_SOIL_ROW(soil, n_strip) : (size_t)n_cells);
+    if (i == LTS_SOIL_ROWS) sizes[i] = ((size_t)n_cells + 1) / 2 * sizeof(double);
     all += sizes[i];
   }
   return all;
@@ -91,7 +91,7 @@ int lts_soil_restore(lts_soil *soil, const void *bytes, size_t size) {
   size_t sizes[N_PARTS];
   const size_t n = find_parts(soil, &soil->passage[0], &soil->cells[0], n_strip, head.n_cells, parts, sizes);
   LTS_TRY(lts_check_state(LTS_SOIL_MAGIC, soil->model->digest, bytes, size, n));
-  const size_t before = sizeof head + N_ROWS * LTS_SOIL_ROW(soil, n_strip) * sizeof(double);
+  const size_t before = sizeof head + LTS_SOIL_ROWS * LTS_SOIL_ROW(soil, n_strip) * sizeof(double);
   for (int32_t k = 0; k < head.n_cells; ++k) {
     int32_t number;
     memcpy(&number, from + before + (size_t)k * sizeof number, sizeof number);

@@ -44,7 +44,7 @@ static int find_ground(const lts_soil *soil, const lts_passage *p, double area, 
   found[1] = least - level;
   found[2] = most - level;
   found[3] = uneven;
-  found[4] = m->ahead - (double)s[LTS_SOIL_OWN + m->n_own + 2];
+  found[4] = m->ahead - (double)s[LTS_SOIL_OF_PASSAGE(m, AHEAD)];
   found[5] = fabs((double)s[LTS_SOIL_MEMORY]) * (double)(float)p->s.speed;
   float foremost = s[LTS_SOIL_FOREMOST];
   for (int j = 1; j < n_strip; ++j) foremost = fmaxf(foremost, soil->scalars[j][LTS_SOIL_FOREMOST]);
@@ -85,7 +85,7 @@ static void find_conditions(const lts_soil *soil, const lts_passage *p, const lt
 static void find_judged(const lts_soil *soil, const lts_passage *p, const lts_pose *pose, int bears,
                         double *values) {
   const lts_soil_model *m = soil->model;
-  const int path[4] = {LTS_SOIL_LEAN, LTS_SOIL_AREA, LTS_SOIL_OWN + m->n_own, LTS_SOIL_SPEED};
+  const int path[4] = {LTS_SOIL_LEAN, LTS_SOIL_AREA, LTS_SOIL_OF_PASSAGE(m, CARRIED), LTS_SOIL_SPEED};
   for (int i = 0; i < m->n_named; ++i) {
     const int column = i < 4 ? path[i] : LTS_SOIL_OWN + i - 4;
     float most = soil->scalars[0][column];

@@ -64,10 +64,11 @@ void lts_soil_shift(lts_soil *soil, lts_passage *p, double origin, int shift) {
   const int first = shift > 0 ? kept : 0; /* of the new bins */
   for (int j = 0; j < p->s.n_strip; ++j) {
     const size_t row = LTS_SOIL_ROW(soil, j);
-    double *of[5] = {p->surface + row, p->profile + row, p->last + row, p->area_before + row, p->struck + row};
+    double *of[LTS_SOIL_ROWS] = {p->surface + row, p->profile + row, p->last + row, p->area_before + row,
+                                 p->struck + row};
     const int lost = shift > 0 ? 0 : kept; /* the first bin that is dropped */
     p->s.dropped[j] += soil->model->spacing * sum_of_cuts(of[0], of[1], lost, lost + n - kept);
-    for (int i = 0; kept && i < 5; ++i) {
+    for (int i = 0; kept && i < LTS_SOIL_ROWS; ++i) {
       memmove(of[i] + to, of[i] + from, (size_t)kept * sizeof **of);
     }
     for (int k = first; k < first + n - kept; ++k) {
@@ -262,10 +263,10 @@ static void see_scalars(lts_soil *soil, const lts_passage *p) {
     memcpy(s + LTS_SOIL_OWN, soil->own, (size_t)m->n_own * sizeof *s);
     const double cut = m->spacing * sum_of_cuts(p->surface + LTS_SOIL_ROW(soil, j),
                                                 p->profile + LTS_SOIL_ROW(soil, j), 0, m->n_bin);
-    s[LTS_SOIL_OWN + m->n_own] = (float)(w->dropped[j] + cut + owed); /* (19) */
-    s[LTS_SOIL_OWN + m->n_own + 1] = (float)fmin(fmax(below, 0.0), m->below_tool);
-    s[LTS_SOIL_OWN + m->n_own + 2] = (float)fmin(ahead / soil->scale, m->ahead);
-    s[LTS_SOIL_OWN + m->n_own + 3] = (float)layer(soil, p, j);
+    s[LTS_SOIL_OF_PASSAGE(m, CARRIED)] = (float)(w->dropped[j] + cut + owed); /* (19) */
+    s[LTS_SOIL_OF_PASSAGE(m, BELOW)] = (float)fmin(fmax(below, 0.0), m->below_tool);
+    s[LTS_SOIL_OF_PASSAGE(m, AHEAD)] = (float)fmin(ahead / soil->scale, m->ahead);
+    s[LTS_SOIL_OF_PASSAGE(m, LAYER)] = (float)layer(soil, p, j);
   }
 }
 

@@ -107,9 +107,9 @@ static void scalar_of(const reading *r, int index, float *x) {
     EACH(r->places->area[i]);
   } else if (index == LTS_SOIL_FOREMOST) {
     EACH(r->places->foremost[i]);
-  } else if (index == LTS_SOIL_OWN + r->soil->model->n_own) {
+  } else if (index == LTS_SOIL_OF_PASSAGE(r->soil->model, CARRIED)) {
     EACH(r->places->carried[i]);
-  } else if (index == LTS_SOIL_OWN + r->soil->model->n_own + 3) {
+  } else if (index == LTS_SOIL_OF_PASSAGE(r->soil->model, LAYER)) {
     EACH(r->places->layer[i]);
   } else { /* all strips share it */
     const float value = r->soil->scalars[0][index];
