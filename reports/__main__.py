@@ -15,7 +15,6 @@ REPORTS = {
     'machines': ('machines', 'recorded machines in MuJoCo against the solver; stability, speed'),
     'stability': ('stability', 'extreme cases: what holds, is flagged, is refused'),
     'beyond': ('beyond', 'runs that leave the data, and whether the status says so'),
-    'learning_curve': ('learning_curve', 'errors of a load over the number of training runs'),
     'soil_fits': ('soil_fits', 'how well `lts fit-soil` finds known soils'),
     'explain': ('explain', 'what a rollout leaves out: edges, MFLOP, time'),
     'edges': ('edges.edge_ablation', 'what edges between modes are worth'),

@@ -4,10 +4,13 @@ Examples:
   python -m reports nri_proof --system=springs --n_objects=5 --work_path=/tmp/nri_proof
   python -m reports nri_proof --system=charged --n_objects=5 --work_path=/tmp/nri_proof
   python -m reports nri_proof --system=springs --n_objects=10 --work_path=/tmp/nri_proof
+  python -m reports nri_proof --system=springs --n_objects=5 --work_path=/tmp/nri_test \\
+      --model_path=MODEL
 
 Writes docs/nri_<system><n>.json and .png: edge accuracy on the test split, beside Kipf's, and the
 accuracy on the validation split against time. The true edges are used to measure, never to train.
-The same command again resumes.
+The same command again resumes. A model that was trained elsewhere, as on a GPU, is only judged
+(`--model_path`) and written to docs/nri_<system><n>_gpu.json.
 """
 
 import dataclasses
@@ -53,34 +56,47 @@ def settings_of(system, n_objects):
     return counts, NriConfig(**RECIPE | OF_SYSTEM.get(system, {}) | budget)
 
 
-def run(system, n_objects, work_path, counts, config):
-    """Simulates, trains or resumes.
+def run(system, n_objects, work_path, counts, config, model_path=None):
+    """Simulates, trains or resumes, and judges; or judges a model that has been trained.
 
     Args:
       system, n_objects: what to simulate.
       work_path: folder for data and model.
       counts: {split: runs}.
       config: `NriConfig`.
+      model_path: of the model that has been trained: its folder, with history.json and, in
+        metrics.json, what it was `trained_on`; or None.
 
     Returns:
       what the JSON file holds.
     """
-    from nri import experiment
+    from nri import data, experiment, losses, model
 
     name = f'{system}{n_objects}'
-    data_path = os.path.join(work_path, f'data_{name}')
+    data_path = os.path.join(work_path, f'{"test" if model_path else "data"}_{name}')
+    made_of = {'test': counts['test']} if model_path else counts
     if not os.path.exists(os.path.join(data_path, f'simulation_{name}.json')):
         made = particle_systems.SYSTEMS[system](n_objects=n_objects)
         sample_every = round(0.1 / made.dt)
-        simulate.write_dataset(made, system, counts, 50 * sample_every, sample_every, 42, data_path)
-    model_path = os.path.join(work_path, f'model_{name}')
-    metrics = experiment.train(data_path, model_path, config)
+        how = 50 * sample_every, sample_every, 42
+        simulate.write_dataset(made, system, made_of, *how, data_path)
+    if model_path:
+        trained = model.load_model(model_path)
+        config, test = trained.config, data.load(data_path, 'test')
+        windows = test.features[:, :, : config.span : config.stride]
+        found = trained.window_probabilities(windows).argmax(axis=-1)
+        accuracy, _ = losses.edge_accuracy(found, test.edges, config.edge_types)
+        metrics = files.read_json(os.path.join(model_path, experiment.METRICS_FILE))
+        metrics |= {'test': {'accuracy': accuracy}}
+    else:
+        model_path = os.path.join(work_path, f'model_{name}')
+        metrics = experiment.train(data_path, model_path, config)
     history = files.read_json(os.path.join(model_path, experiment.HISTORY_FILE))
     return {
         'system': system,
         'n_objects': n_objects,
         'runs': counts,
-        'threads': int(os.environ.get('TF_NUM_INTRAOP_THREADS', os.cpu_count())),
+        'trained_on': metrics.get('trained_on', 'one core'),
         'settings': dataclasses.asdict(config),
         'seconds': metrics['seconds'],
         'seconds_per_epoch': metrics['epoch_seconds'],
@@ -93,14 +109,15 @@ def run(system, n_objects, work_path, counts, config):
 
 def table(*paths: str) -> str:
     """Edge accuracy of stored results beside Kipf's."""
-    header = ('system', 'objects', 'mutual forces', 'epochs', 'minutes', 'edges right',
-              'Kipf et al.')  # fmt: skip
+    header = ('system', 'objects', 'mutual forces', 'width', 'epochs', 'minutes', 'on',
+              'edges right', 'Kipf et al.')  # fmt: skip
     rows = []
     for path in paths:
         r = files.read_json(path)
         rows.append(
             (r['system'], r['n_objects'], 'yes' if r['settings'].get('symmetric') else 'no',
-             r['settings']['epochs'], round(r['seconds'] / 60), f'{r["test_accuracy"]:.2%}',
+             r['settings']['hidden'], r['settings']['epochs'], round(r['seconds'] / 60),
+             r.get('trained_on', 'one core'), f'{r["test_accuracy"]:.2%}',
              f'{r["published_accuracy"]:.1%}')
         )  # fmt: skip
     return markdown.table(header, rows)
@@ -131,14 +148,16 @@ def define_flags():
     flags.DEFINE_enum('system', 'springs', sorted(particle_systems.SYSTEMS), 'What to simulate.')
     flags.DEFINE_integer('n_objects', 5, 'V, number of objects.')
     flags.DEFINE_string('work_path', None, 'Folder for data and model.', required=True)
+    flags.DEFINE_string('model_path', None, 'A model that was trained elsewhere: only judged.')
     flags.DEFINE_string('output_path', 'docs', 'Folder for the JSON file and the picture.')
 
 
 def main(given, _) -> None:
     os.makedirs(given.output_path, exist_ok=True)
-    settings = settings_of(given.system, given.n_objects)
-    result = run(given.system, given.n_objects, given.work_path, *settings)
-    stem = os.path.join(given.output_path, f'nri_{given.system}{given.n_objects}')
+    counts, config = settings_of(given.system, given.n_objects)
+    result = run(given.system, given.n_objects, given.work_path, counts, config, given.model_path)
+    name = f'nri_{given.system}{given.n_objects}' + ('_gpu' if given.model_path else '')
+    stem = os.path.join(given.output_path, name)
     files.write_json(f'{stem}.json', record.provenance() | result)
     draw(result, f'{stem}.png')
     print(f'wrote {stem}.json and .png: {result["test_accuracy"]:.2%} of the edges right')

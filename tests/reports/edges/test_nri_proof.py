@@ -14,6 +14,11 @@ def test_proof_simulates_trains_measures_and_draws(tmp_path):
     assert 0.5 <= result['test_accuracy'] <= 1 and result['runs'] == counts
     nri_proof.draw(result, str(tmp_path / 'curve.png'))
     assert (tmp_path / 'curve.png').read_bytes().startswith(b'\x89PNG')
+    # The same model, as one that was trained elsewhere, on the same test runs made once more.
+    again = nri_proof.run(
+        'springs', 3, str(tmp_path / 'again'), counts, config, str(tmp_path / 'model_springs3')
+    )
+    assert again == result
 
 
 def test_every_system_has_settings():
