@@ -16,6 +16,7 @@ part by part in this order, so that what teaches most is there first:
     tools             60 paths with other blades and with buckets
     trench            20 long cuts
     spread            60 cuts whose heap is spread
+    backdrag          60 cuts whose heap is drawn back
     excavation_grid   40 of the 250 published cases
     wheel_free        120 free drives of the wheel, four kinds that take turns
     wheel_height      60 at a height that is given
@@ -57,6 +58,7 @@ PARTS = {
     'tools': (scenes.EXCAVATION, ('tools',)),
     'trench': (scenes.EXCAVATION, ('trench',)),
     'spread': (scenes.EXCAVATION, ('spread',)),
+    'backdrag': (scenes.EXCAVATION, ('backdrag',)),
     'excavation_grid': (scenes.EXCAVATION, ()),
     'wheel_free': (scenes.WHEEL, wheel_drives.TURNS),
     'wheel_height': (scenes.WHEEL, ('height',)),

@@ -22,6 +22,7 @@ RUNS = {
         **dict.fromkeys(('beside', 'soils', 'tools'), 60),
         'trench': 20,
         'spread': 60,
+        'backdrag': 60,
     },
     'wheel': {
         **dict.fromkeys(('slip', 'stops', 'reverse', 'load'), 30),

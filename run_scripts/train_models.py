@@ -41,9 +41,9 @@ class Recipe(NamedTuple):
 _PUBLISHED = {'modes': 8, 'num_steps': 10_000}
 SHIPPED = {
     'excavation/soil_field': Recipe(
-        ('excavation', 'excavation_wide', 'excavation_more'), 'soil_field', {'seed': 2}
+        ('excavation', 'excavation_wide', 'excavation_more'), 'soil_field', {'seed': 3}
     ),
-    'wheel/soil_field': Recipe(('wheel', 'wheel_more'), 'soil_field', {'seed': 1}),
+    'wheel/soil_field': Recipe(('wheel', 'wheel_more'), 'soil_field', {'seed': 0}),
     'excavation/mlp_driven': Recipe(('excavation',), 'mlp_driven', {'num_steps': 4000}),
     'excavation/pcg': Recipe(('excavation',), 'pcg', {'modes': 8}),
     'wheel/pcg': Recipe(('wheel',), 'pcg', {'modes': 8}),

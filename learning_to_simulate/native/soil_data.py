@@ -56,7 +56,6 @@ def values(field) -> dict:
         'back': grid.back,
         'on': grid.on,
         'window': sweep.WINDOW,
-        'forget': sweep.FORGET,
         'memories': sweep.MEMORIES,
         'touch': sweep.TOUCH,
         'reach': sweep.REACH,

@@ -160,10 +160,10 @@ def depth(expression: str) -> int:
 # tool.
 AROUND = (-0.2, -0.13, -0.085, -0.055, -0.035, -0.017, 0.0, 0.017, 0.035, 0.055, 0.085, 0.13,
           0.2)  # fmt: skip
-SINCE_AROUND = (-0.1, -0.04, 0.0, 0.04, 0.1)
 AT_TOOL = (-0.16, -0.1, -0.06, -0.04, -0.02, -0.01, 0.0, 0.01, 0.02, 0.04, 0.07, 0.11, 0.16)
-# The last passage fades over so much travel, m.
-RECENT = 0.15
+# Soil farther behind the tool is at rest, and few drives of a wheel show it: all of it counts as so
+# far behind, m of the field.
+FAR = 0.2
 
 _AREA = (
     Row('area', 0.01), Row('sqrt(relu(area) + 1e-6)', 0.1),
@@ -210,17 +210,17 @@ _LEFT = (Row('layer', 0.01), Row('carried - layer', 0.01), Row('carried - layer'
 _STRUCK = (
     Row('struck', 0.02), Row('at.struck', 0.02, at=AROUND), Row('area_before', 0.003, 'tanh'),
 )  # fmt: skip
+_BEHIND, _BEFORE_CUT = (f'{x} - u - relu({x} - u - {FAR})' for x in ('tip', 'foremost'))
 _PAST_END, _ABOVE_CUT = 'abs(z) - half_width', 'y - surface + cut'
 _HERE = (
-    Row('tip - u', 0.15), Row('tip - u', 0.03, 'tanh'),
+    Row(_BEHIND, 0.15), Row('tip - u', 0.03, 'tanh'),
     *(Row('tip - u', 0.05, 'bell', shift) for shift in (-0.08, 0.0, 0.08)),
     Row('abs(z)', 0.15), Row(_PAST_END, 0.03, 'tanh'), Row(_PAST_END, 0.1, 'tanh'),
     Row(_PAST_END, 0.008, 'tanh'), Row(_PAST_END, 0.02, 'bell'),
-    Row('foremost - u', 0.15), Row('foremost - u', 0.03, 'tanh'),
+    Row(_BEFORE_CUT, 0.15), Row('foremost - u', 0.03, 'tanh'),
     Row('area_before', 0.01), Row('sqrt(area_before + 1e-6)', 0.1),
     Row('surface - height', 0.05),
     Row('at.cut', 0.03, at=AROUND), Row('at.surface - surface', 0.03, at=AROUND),
-    Row('at.since', RECENT, 'fade', at=SINCE_AROUND),
 )  # fmt: skip
 _OF_PARTICLE = (
     Row('y - surface', 0.05), Row('y - height', 0.05), Row('y - height', 0.02, 'tanh'),

@@ -19,6 +19,8 @@ soils: any of the first five, in soil of another friction angle, and in some of 
 tools: any of the first five, in the wide bin, with a blade of another width and height or a bucket.
 trench: one cut of 1.2 to 1.5 m, in a bin of 2 m.
 spread: `SPREAD_FRAMES` of a cut whose heap is then spread: the blade goes on above the bed.
+backdrag: `BACKDRAG_FRAMES` of a cut whose heap is then drawn back: the blade goes over it, is set
+    down before it and drags it with its back.
 """
 
 import math
@@ -31,7 +33,7 @@ from mpm.motions.drive import Drive, poses
 from mpm.motions.levels import Levels, Track
 
 TURNS = ('smooth', 'stops', 'reverse', 'lift', 'disturbed')  # of seeds, if no kind is named
-KINDS = (*TURNS, 'halts', 'beside', 'soils', 'tools', 'trench', 'spread')
+KINDS = (*TURNS, 'halts', 'beside', 'soils', 'tools', 'trench', 'spread', 'backdrag')
 BINS = {'beside': 'wide', 'tools': 'wide', 'trench': 'long'}  # the others: the scene's own
 MAX_DEPTH, MIN_DEPTH = 0.10, 0.01  # m, of the edge below the flat surface
 MAX_SPEED = 0.15  # m/s along the bed
@@ -54,6 +56,8 @@ GRAVITIES = (1.62, 3.72)  # m/s2, Moon and Mars
 TRENCH = (1.2, 1.5)  # m
 SPREAD_FRAMES, LAYERS = 220, (0.003, 0.038)  # m, of the edge above the bed
 LEAST_SPREAD_FRAMES = 40
+BACKDRAG_FRAMES, LEAST_BACKDRAG = 290, 0.12  # m
+FRAMES = {'spread': SPREAD_FRAMES, 'backdrag': BACKDRAG_FRAMES}  # of the others: the scene's own
 
 _STEEP_SHARE, _NARROW_SHARE, _ELSEWHERE_SHARE = 0.25, 0.3, 0.5
 
@@ -111,7 +115,7 @@ def operator_drive(
         lambda: _draw(rng, scene, kind, tool), scene.bin, f'the kind {kind!r}, seed {seed}',
         lambda drive, drawn: _is_fine(drive, scene.bin, drawn),
     )  # fmt: skip
-    if kind not in ('trench', 'spread'):  # as long as any run
+    if kind != 'trench' and kind not in FRAMES:  # as long as any run
         del drawn['frames']
     return drive, parameters | drawn
 
@@ -165,11 +169,11 @@ def _draw(rng, scene, kind, tool) -> tuple[Drive, dict]:
     if kind == 'trench':
         seconds = _trench(rng, story)
     else:
-        if kind == 'spread':
-            seconds = SPREAD_FRAMES / scenes.FRAME_RATE
+        if kind in FRAMES:
+            seconds = FRAMES[kind] / scenes.FRAME_RATE
         {
             'smooth': _smooth, 'halts': _smooth, 'stops': _stops, 'reverse': _reverse,
-            'lift': _lift, 'spread': _spread,
+            'lift': _lift, 'spread': _spread, 'backdrag': _backdrag,
         }[plot](rng, story, begin + seconds)  # fmt: skip
     speed, depth, lean = (story.levels(name) for name in ('speed', 'depth', 'lean'))
     clock = _halting_clock(rng) if kind == 'halts' else np.asarray
@@ -229,8 +233,9 @@ def _is_fine(drive, box, parameters) -> bool:
         return len(out) > 0 and np.count_nonzero(is_below[out[0] + 1 :]) >= SECOND_CUT_FRAMES  # type: ignore[return-value]
     if plot == 'spread':
         return bool(np.count_nonzero(~is_below[np.argmax(is_below) :]) >= LEAST_SPREAD_FRAMES)
-    if plot == 'reverse':
-        return float((x - np.minimum.accumulate(x)).max()) >= LEAST_REVERSE
+    if plot in ('reverse', 'backdrag'):
+        least = LEAST_REVERSE if plot == 'reverse' else LEAST_BACKDRAG
+        return float((x - np.minimum.accumulate(x)).max()) >= least
     return True
 
 
@@ -307,6 +312,18 @@ def _spread(rng, story, end) -> None:
     if rng.random() < 0.3:
         story.go(rng.uniform(0.3, 0.6), rng.uniform(0.08, MAX_SPEED), rng.uniform(0.02, 0.06))
     story.go(max(end - story.time, 0.3), rng.uniform(0.11, MAX_SPEED))
+
+
+def _backdrag(rng, story, end) -> None:
+    story.go(rng.uniform(0.3, 0.5), rng.uniform(0.11, MAX_SPEED), rng.uniform(0.02, 0.06))
+    story.go(rng.uniform(0.4, 0.8), rng.uniform(0.11, MAX_SPEED))
+    # Over the heap or through its crown, and down before it or into it.
+    story.go(0.5, rng.uniform(0.05, MAX_SPEED), -rng.uniform(0.02, 0.07))
+    story.go(rng.uniform(0.1, 0.5), rng.uniform(0.11, MAX_SPEED))
+    story.go(0.3, rng.uniform(0.08, MAX_SPEED), rng.uniform(-0.02, 0.03))
+    story.go(rng.uniform(0.3, 0.5), -rng.uniform(0.08, MAX_SPEED))
+    depth = rng.uniform(-0.02, 0.03) if rng.random() < 0.5 else None
+    story.go(max(end - story.time, 0.3), -rng.uniform(0.08, MAX_SPEED), depth)
 
 
 def _trench(rng, story) -> float:

@@ -293,7 +293,7 @@ def test_a_soil_field_is_valid_and_equals_the_stepper(soils, kind, tmp_path):
     x, _, z = frame.pose[:3]
     wanted = [_height(terrain, x - 0.07 * i, z - 0.07 * j) for i in (-4, 0, 4) for j in (-2, 0, 2)]
     np.testing.assert_allclose(slave.reals(*shown), wanted, atol=1e-12)
-    assert np.ptp(wanted) > 5e-4
+    assert np.ptp(wanted) > 3e-4
     slave.free()
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mpm.motions.operator_paths import KINDS, LAYERS, SPREAD_FRAMES
+from mpm.motions.operator_paths import FRAMES, KINDS, LAYERS, LEAST_BACKDRAG
 from tests.mpm import small
 from tests.mpm.small import STEPS
 
@@ -20,7 +20,7 @@ def test_each_plot_shows_what_it_is_for(paths):
         x, depth = path.poses[::STEPS, 0], path.depth(path.poses[::STEPS])
         forward = -np.diff(x) * 60.0
         is_below = depth > 0.0
-        assert is_below.sum() > (40 if kind == 'spread' else 60)  # about a second in the soil
+        assert is_below.sum() > (40 if kind in FRAMES else 60)  # about a second in the soil
         plot = path.parameters['plot']
         assert plot == kind or kind in ('disturbed', 'beside', 'soils', 'tools')
         if plot in ('smooth', 'halts', 'trench'):
@@ -38,10 +38,16 @@ def test_each_plot_shows_what_it_is_for(paths):
         if plot == 'spread':
             over = -depth[np.argmax(is_below) :]
             assert (over > LAYERS[0]).sum() >= 30 and over.max() <= LAYERS[1] + 1e-9
+        if plot == 'backdrag':
+            # Forward into the soil, over the heap, and back at a height that meets it.
+            turn = np.argmin(x)
+            assert is_below[:turn].sum() >= 40 and (forward[turn:] < 1e-9).all()
+            assert x[-1] - x[turn] >= LEAST_BACKDRAG and depth[turn:].min() > -0.025
+            assert depth[: turn + 1].min() < -0.015
         if kind == 'trench':
             assert 1.1 < np.ptp(x) < 1.6 and path.motion.frames > 320
         else:
-            assert path.motion.frames == (SPREAD_FRAMES if kind == 'spread' else 320)
+            assert path.motion.frames == FRAMES.get(kind, 320)
 
 
 def test_an_earlier_pass_cuts_the_bed_before_the_first_frame(paths):

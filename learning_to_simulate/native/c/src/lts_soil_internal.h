@@ -7,7 +7,7 @@
 #include "lts_soil_model.h"
 
 #define LTS_SOIL_MAGIC 0x4c545331u
-#define LTS_SOIL_ROWS 5
+#define LTS_SOIL_ROWS 4
 #define LTS_SOIL_LANES 48 /* places that go through a network at once: they stay in the first cache */
 
 /* The vertical plane of a passage: origin, and level unit vectors, x and z of each; m. Twin of `place.py`. */
@@ -32,7 +32,7 @@ typedef struct {
 
 typedef struct {
   lts_way s;
-  double *surface, *profile, *last, *area_before, *struck; /* LTS_SOIL_ROWS of [strips][n_bin] */
+  double *surface, *profile, *area_before, *struck; /* LTS_SOIL_ROWS of [strips][n_bin] */
 } lts_passage;
 
 /* Cells in sight, ascending: their numbers in the flat map, heights before the tool and as it left them (m), u and

@@ -82,7 +82,6 @@ static size_t lay_out(const lts_soil_model *m, const lts_soil_tool *tool, const 
   for (int i = 0; i < 2; ++i) {
     TAKE(passage[i].surface, double, strips * bins)
     TAKE(passage[i].profile, double, strips * bins)
-    TAKE(passage[i].last, double, strips * bins)
     TAKE(passage[i].area_before, double, strips * bins)
     TAKE(passage[i].struck, double, strips * bins)
     TAKE(cells[i].number, int32_t, cells)
