@@ -210,14 +210,14 @@ _LEFT = (Row('layer', 0.01), Row('carried - layer', 0.01), Row('carried - layer'
 _STRUCK = (
     Row('struck', 0.02), Row('at.struck', 0.02, at=AROUND), Row('area_before', 0.003, 'tanh'),
 )  # fmt: skip
-_BEHIND, _BEFORE_CUT = (f'{x} - u - relu({x} - u - {FAR})' for x in ('tip', 'foremost'))
+_BEHIND_TIP, _BEHIND_FOREMOST = (f'{x} - u - relu({x} - u - {FAR})' for x in ('tip', 'foremost'))
 _PAST_END, _ABOVE_CUT = 'abs(z) - half_width', 'y - surface + cut'
 _HERE = (
-    Row(_BEHIND, 0.15), Row('tip - u', 0.03, 'tanh'),
+    Row(_BEHIND_TIP, 0.15), Row('tip - u', 0.03, 'tanh'),
     *(Row('tip - u', 0.05, 'bell', shift) for shift in (-0.08, 0.0, 0.08)),
     Row('abs(z)', 0.15), Row(_PAST_END, 0.03, 'tanh'), Row(_PAST_END, 0.1, 'tanh'),
     Row(_PAST_END, 0.008, 'tanh'), Row(_PAST_END, 0.02, 'bell'),
-    Row(_BEFORE_CUT, 0.15), Row('foremost - u', 0.03, 'tanh'),
+    Row(_BEHIND_FOREMOST, 0.15), Row('foremost - u', 0.03, 'tanh'),
     Row('area_before', 0.01), Row('sqrt(area_before + 1e-6)', 0.1),
     Row('surface - height', 0.05),
     Row('at.cut', 0.03, at=AROUND), Row('at.surface - surface', 0.03, at=AROUND),

@@ -18,8 +18,8 @@ soils: any of the first five, in soil of another friction angle, and in some of 
     under another gravity.
 tools: any of the first five, in the wide bin, with a blade of another width and height or a bucket.
 trench: one cut of 1.2 to 1.5 m, in a bin of 2 m.
-spread: `SPREAD_FRAMES` of a cut whose heap is then spread: the blade goes on above the bed.
-backdrag: `BACKDRAG_FRAMES` of a cut whose heap is then drawn back: the blade goes over it, is set
+spread: a short run (`FRAMES`): a cut whose heap is then spread: the blade goes on above the bed.
+backdrag: a short run: a cut whose heap is then drawn back: the blade goes over it, is set
     down before it and drags it with its back.
 """
 
@@ -54,10 +54,9 @@ FARTHEST = 1.5  # widths, between neighbouring cuts
 FRICTION_DEG, DENSITY = (28.0, 43.0), (1300.0, 1900.0)  # deg, kg/m3
 GRAVITIES = (1.62, 3.72)  # m/s2, Moon and Mars
 TRENCH = (1.2, 1.5)  # m
-SPREAD_FRAMES, LAYERS = 220, (0.003, 0.038)  # m, of the edge above the bed
-LEAST_SPREAD_FRAMES = 40
-BACKDRAG_FRAMES, LEAST_BACKDRAG = 290, 0.12  # m
-FRAMES = {'spread': SPREAD_FRAMES, 'backdrag': BACKDRAG_FRAMES}  # of the others: the scene's own
+LAYERS = 0.003, 0.038  # m, of the edge above the bed
+LEAST_SPREAD_FRAMES, LEAST_BACKDRAG = 40, 0.12  # m
+FRAMES = {'spread': 220, 'backdrag': 290}  # of the other kinds: the scene's own, or `_trench`'s
 
 _STEEP_SHARE, _NARROW_SHARE, _ELSEWHERE_SHARE = 0.25, 0.3, 0.5
 

@@ -289,11 +289,13 @@ def test_a_soil_field_is_valid_and_equals_the_stepper(soils, kind, tmp_path):
     (number,) = slave.c.getInteger([slave.vr['status.reason']])
     assert live.field.judged_names[number - 1] == 'aside'
     assert [text for _, text in slave.logged if text.endswith(frame.now.reason.split()[-1])]
-    shown = [f'ground.height[{i},{j}]' for i in (1, 5, 9) for j in (1, 3, 5)]
+    shown = [f'ground.height[{i},{j}]' for i in range(1, 10) for j in (1, 3, 5)]
     x, _, z = frame.pose[:3]
-    wanted = [_height(terrain, x - 0.07 * i, z - 0.07 * j) for i in (-4, 0, 4) for j in (-2, 0, 2)]
+    wanted = [
+        _height(terrain, x - 0.07 * i, z - 0.07 * j) for i in range(-4, 5) for j in (-2, 0, 2)
+    ]
     np.testing.assert_allclose(slave.reals(*shown), wanted, atol=1e-12)
-    assert np.ptp(wanted) > 3e-4
+    assert np.ptp(wanted) > 5e-4
     slave.free()
 
 
