@@ -52,7 +52,8 @@ def joints(distance, height, lean, swing):
 
 
 def main(film=None, seconds: float = 2 * PERIOD - 0.4):
-    """Digs; returns terrain, judgement, and rows of time, pose of the edge and force on it."""
+    """Digs; returns terrain, judgement, and rows of time, place of the edge, force on it, and
+    whether the step was flagged."""
     ground = lts.Terrain.flat((2.6, 3.4), corner=(0.7, -1.7), height=0.0, floor=-0.6)
     spec = mujoco.MjSpec.from_file(str(FOLDER / 'excavator.xml'))
     add_height_field(spec, ground)
@@ -71,18 +72,17 @@ def main(film=None, seconds: float = 2 * PERIOD - 0.4):
 
     d.qpos[:] = target(0.0)
     soil.start()
-    shots, rows, clock, flagged = Film(film, m, d, soil), [], time.process_time(), 0
+    shots, rows, clock = Film(film, m, d, soil), [], time.process_time()
     for _ in range(round(seconds / m.opt.timestep)):
         d.ctrl[:] = target(d.time)
         frame = soil.step()['edge']
-        rows.append([d.time, *frame.pose[:3], *frame.force])
-        flagged += frame.now.status != 'ok'
+        rows.append([d.time, *frame.pose[:3], *frame.force, frame.now.status != 'ok'])
         shots.look()
     took = time.process_time() - clock
     rows = np.array(rows)
     print(f'{d.time:.1f} s in {took:.1f} s of one core')
-    print(f'largest force {abs(rows[:, 4:]).max():.0f} N')
-    print(f'{100 * flagged / len(rows):.0f} % of steps flagged; first: {soil.judgement.reason}')
+    print(f'largest force {abs(rows[:, 4:7]).max():.0f} N')
+    print(f'{100 * rows[:, -1].mean():.0f} % of steps flagged; first: {soil.judgement.reason}')
     print(f'trenches {-1e3 * ground.heights.min():.0f} mm deep')
     shots.write()
     return ground, soil.judgement, rows

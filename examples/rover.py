@@ -61,7 +61,8 @@ def machine(ground):
 
 
 def main(film=None, picture=None, seconds: float = PLAN[-1][0], model='wheel/soil_field'):
-    """Drives; returns terrain, judgement, rows of time, x, mean slip, drawbar, pull, sinkage."""
+    """Drives; returns terrain, judgement, rows of time, x, mean slip, drawbar, pull, sinkage, and
+    whether the step was flagged."""
     heights = np.zeros((160, 80))  # 3.2 x 1.6 m
     x, _ = 0.01 + 0.02 * np.indices(heights.shape)
     heights += 0.03 * np.exp(-(((x - 0.7) / 0.15) ** 2))  # a heap across the way
@@ -71,7 +72,7 @@ def main(film=None, picture=None, seconds: float = PLAN[-1][0], model='wheel/soi
     field, wheel = lts.load(model), lts.Wheel(WIDTH, RADIUS, lugs=12, lug_height=0.005)
     soil = MujocoSoil(m, d, {name: field.stepper(ground, wheel) for name in NAMES})
     soil.start()
-    shots, rows, clock, flagged = Film(film, m, d, soil), [], time.process_time(), 0
+    shots, rows, clock = Film(film, m, d, soil), [], time.process_time()
     for _ in range(round(seconds / m.opt.timestep)):
         way, pull = drawn_plan(d.time)
         d.ctrl[:] = way * RIM_SPEED / RADIUS
@@ -81,12 +82,12 @@ def main(film=None, picture=None, seconds: float = PLAN[-1][0], model='wheel/soi
         slip = 1 - speed / rim if rim > 0.02 else np.nan
         drawbar = -sum(frame.force[0] for frame in frames.values())
         sinkage = np.mean([RADIUS - frame.pose[1] for frame in frames.values()])
-        rows.append([d.time, d.qpos[0], slip, drawbar, pull, sinkage])
-        flagged += any(frame.now.status != 'ok' for frame in frames.values())
+        flagged = any(frame.now.status != 'ok' for frame in frames.values())
+        rows.append([d.time, d.qpos[0], slip, drawbar, pull, sinkage, flagged])
         shots.look()
     took, rows = time.process_time() - clock, np.array(rows)
     print(f'{d.time:.1f} s in {took:.1f} s of one core')
-    print(f'{100 * flagged / len(rows):.0f} % of steps flagged; first: {soil.judgement.reason}')
+    print(f'{100 * rows[:, -1].mean():.0f} % of steps flagged; first: {soil.judgement.reason}')
     if picture:
         plot(rows, picture)
     shots.write()

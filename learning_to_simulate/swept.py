@@ -2,9 +2,9 @@
 networks in the subspace.
 
 A tool is reduced to a circle that moves in the plane of travel: the round lower edge of a blade, or
-the rim of a wheel. Bins along the way remember how deep it has been, (1) to (4) and (6) of
-docs/soil_field.md with all bins in the area, and how long ago. A soil field has a state of its own,
-in bins that follow the tool (`soil_field.sweep`).
+the rim of a wheel. Bins along the way remember how deep it has been: (1) to (6) of
+docs/soil_field.md, with all bins in the area (4). A soil field has a state of its own, in bins that
+follow the tool (`soil_field.sweep`).
 
 Nothing is integrated over time: two calls in a row equal one call over the joined path, one frame
 costs the same however long the path is, and shifting path and bed together changes nothing.
@@ -171,22 +171,23 @@ def _cut(grid, state, position, dt):
     height = underside(state.origin[:, None] + grid.offsets, state.position, position, grid.radius)
     velocity = state.velocity if dt is None else step / dt
     found = after_step(state, height, position[:, 0], np.hypot(step[:, 0], step[:, 1]))
-    last = np.where(height < state.surface, found['travelled'][:, None], state.last)
-    return state._replace(position=position, velocity=velocity, last=last, **found)
+    return state._replace(position=position, velocity=velocity, **found)
 
 
 def after_step(state, height, tip, length) -> dict[str, np.ndarray]:
-    """Fields of a state that a step changes, of `SweptBed` and of `soil_field.sweep.Sweep`: (2).
+    """Fields of a state that a step changes, of `SweptBed` and of `soil_field.sweep.Sweep`: (2),
+    (5).
 
     Args:
       state: before the step.
       height: [B, n] of `underside`, m.
       tip, length: [B], u at which the step ends and its length, m.
     """
-    passed = height < state.surface
+    passed, travelled = height < state.surface, state.travelled + length
     return {
         'profile': np.minimum(state.profile, height),
-        'travelled': state.travelled + length,
+        'last': np.where(passed, travelled[:, None], state.last),
+        'travelled': travelled,
         'foremost': np.where(passed.any(axis=1), np.maximum(state.foremost, tip), state.foremost),
     }
 

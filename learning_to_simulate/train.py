@@ -111,7 +111,9 @@ _FLAGS = [
     ),
     flags.DEFINE_integer('latent_size', None, 'Width of the network.'),
     flags.DEFINE_integer('members', None, 'Networks of a soil field that are averaged.'),
-    flags.DEFINE_integer('num_steps', None, 'Training steps in all.'),
+    flags.DEFINE_integer(
+        'num_steps', None, 'Training steps in all; of a soil field, those of its load.'
+    ),
     flags.DEFINE_integer('batch_size', None, 'Windows in a batch.'),
     flags.DEFINE_float('noise_std', None, 'Random-walk noise of the last input step.'),
     flags.DEFINE_integer('seed', None, 'Seed of weights, batches and noise.'),

@@ -218,7 +218,7 @@ if __name__ == '__main__':
     flags.DEFINE_integer('runs', 24, 'Runs of the solver, about two minutes of one core each.', 2)
     flags.DEFINE_integer('kept', None, 'Kept back to judge; as many validate. Default: a sixth.', 1)
     flags.DEFINE_string('initial_weights', None, 'Model to start from; default: the shipped one.')
-    flags.DEFINE_integer('num_steps', 2000, 'Training steps of each network.', 1)
+    flags.DEFINE_integer('num_steps', 2000, 'Training steps of the load.', 1)
     flags.DEFINE_float('learning_rate', 1e-3, 'The first one.')
     flags.DEFINE_integer('num_processes', 2, 'Runs of the solver at a time.', 1)
     flags.DEFINE_multi_enum(

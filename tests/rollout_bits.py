@@ -13,6 +13,7 @@ import argparse
 import glob
 import hashlib
 import json
+import os
 import sys
 
 import numpy as np
@@ -67,7 +68,8 @@ def main():
     tf.config.threading.set_inter_op_parallelism_threads(1)
     found = {path: of_rollouts(path) for path in sorted(glob.glob('models/*/*'))}
     if not args.no_training:
-        for data_path in sorted(glob.glob('datasets/*')):
+        for path in sorted(glob.glob('datasets/*/train.tfrecord')):
+            data_path = os.path.dirname(path)
             found[f'training on {data_path}'] = of_training(data_path)
     before = {}
     if args.compare:

@@ -98,6 +98,25 @@ def test_wrench_with_z_up_is_that_about_the_centre_of_mass():
     np.testing.assert_allclose(turn.T @ torque, moved, atol=1e-12)
 
 
+def test_a_machine_of_ones_own_by_the_lines_of_the_front_page(tmp_path, monkeypatch):
+    """A slide with a plate on it, let down to the soil and pushed along."""
+    pytest.importorskip('mujoco')
+    slide = """<mujoco><option timestep="0.001"/><worldbody><body pos="2 -0.5 0.27">
+      <joint type="slide" axis="1 0 0" damping="200"/>
+      <joint type="slide" axis="0 0 1" damping="20"/>
+      <geom type="box" size=".01 .2 .14" pos="0 0 .14" mass="20" contype="0" conaffinity="0"/>
+      <site name="edge"/></body></worldbody></mujoco>"""
+    (tmp_path / 'machine.xml').write_text(slide, encoding='utf-8')
+    monkeypatch.chdir(tmp_path)
+    text = (ROOT / 'README.md').read_text(encoding='utf-8')
+    values = {}
+    exec(re.findall(r'```python\n(.*?)```', text, re.S)[1], values)
+    assert values['soil'].judgement.status == 'ok'
+    lowest = values['data'].xpos[1, 2] - lts.Blade().radius
+    assert 0.23 < lowest < 0.249  # it stands in the soil
+    assert values['frames']['edge'].force[1] == pytest.approx(20 * 9.81, rel=0.05)
+
+
 def test_lines_of_the_mujoco_page():
     pytest.importorskip('mujoco')
     text = (ROOT / 'docs' / 'mujoco.md').read_text(encoding='utf-8')
@@ -112,8 +131,9 @@ def test_excavator():
     pytest.importorskip('mujoco')
     ground, judgement, rows = _example('excavator').main(seconds=2.2)
     assert judgement.status == 'ok' and ground.heights.min() < -0.01
-    time, pose, force = rows[:, 0], rows[:, 1:4], rows[:, 4:]
+    time, pose, force = rows[:, 0], rows[:, 1:4], rows[:, 4:7]
     assert not force[time < 0.5].any()
+    assert not rows[:, -1].any()
     assert pose[-1, 1] < -0.04 and force[-1, 0] > 50.0  # it digs towards the house
 
 

@@ -18,6 +18,8 @@ from matplotlib.figure import Figure
 from scipy import ndimage
 from scipy.spatial.transform import Rotation
 
+from learning_to_simulate import metrics
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH
 from learning_to_simulate.rendering import movie_files
 from learning_to_simulate.rendering.particle_views import BODY_EDGE, BODY_FACE, PLAIN_SOIL
 from learning_to_simulate.rendering.rollout_figures import FAINT, INK, STYLE, WIDTH
@@ -87,7 +89,10 @@ def figure(arrays: Mapping[str, np.ndarray], moments: Sequence[int], name: str, 
             time = float(arrays['dt']) * int(frames[i])
             side = page.add_subplot(grid[0, :] if is_one else grid[0, column])
             side.set_title(f't = {time:.2f} s', fontweight='bold')
-            _draw_section(side, arrays, maps, i, legend=column == 0)
+            _draw_section(side, arrays, maps, i)
+            side.set_ylabel('' if column else 'height (m)')
+            if column == 0:  # beside the title: it would hide the soil of a wheel
+                page.legend(*side.get_legend_handles_labels(), loc='upper right', ncols=3)
             for k, (label, heights) in enumerate(maps.items()):
                 plan = page.add_subplot(grid[1, k] if is_one else grid[1 + k, column])
                 _draw_map(plan, arrays, heights[i] - before, int(frames[i]), extent, largest)
@@ -123,8 +128,27 @@ def _title(arrays, name):
     text = f'{name}: a {tool["name"]} of {1e2 * tool["width"]:.3g} cm width'
     if 'kind' in arrays:
         text += f' (kind {arrays["kind"]})'
+    text += _errors(arrays)
     status = str(arrays['status'])
     return text if status == 'ok' else f'{text}\n{status}: {arrays["status_reason"]}'
+
+
+def _errors(arrays):
+    """How far a rollout is off, as evaluation counts it; '' where that is not known."""
+    if 'ground_truth_forces' not in arrays:
+        return ''
+    late = slice(INPUT_SEQUENCE_LENGTH, None)
+    both = (arrays[f'{name}_forces'][None, late] for name in ('predicted', 'ground_truth'))
+    share = float(metrics.force_errors(*both)['force_relative_l2'][0])
+    text = f'force off by {100 * share:.0f} %' if np.isfinite(share) else ''
+    if 'predicted_particles' in arrays and 'ground_truth_particles' in arrays:
+        late = np.asarray(arrays['height_frames']) >= INPUT_SEQUENCE_LENGTH
+        found, truth = (
+            np.asarray(arrays[f'{name}_particles'], np.float64)[late]
+            for name in ('predicted', 'ground_truth')
+        )
+        text += f', soil by {metrics.rms_mm(np.mean((found - truth) ** 2)):.2g} mm'
+    return f'\n{text}' if text else ''
 
 
 def _extent(arrays):
@@ -140,7 +164,7 @@ def _way(pose):
     return np.cross(_UP, across), across, turn
 
 
-def _draw_section(axes, arrays, maps, i, legend):
+def _draw_section(axes, arrays, maps, i):
     """Terrain and tool in the plane of the tool, against the distance along its way."""
     pose = np.asarray(arrays['pose'], float)[int(arrays['height_frames'][i])]
     if not np.isfinite(pose).all():
@@ -178,9 +202,7 @@ def _draw_section(axes, arrays, maps, i, legend):
     # Of a large wheel the lower part, where there is soil to see.
     top = min(max(high, tool[:, 1].max()) + 0.02, high + 0.45 * np.ptp(u))
     axes.set(xlim=(u.min(), u.max()), ylim=(low - room, top))
-    axes.set(xlabel='along the way (m)', ylabel='height (m)' if legend else '', aspect='equal')
-    if legend:
-        axes.legend(loc='lower left', ncols=3, handlelength=1.2, columnspacing=0.8, framealpha=0.8)
+    axes.set(xlabel='along the way (m)', aspect='equal')
 
 
 def _draw_map(axes, arrays, change, frame, extent, largest):
@@ -206,7 +228,9 @@ def _draw_force(axes, arrays, frames):
     for direction, color, name in zip((-along, _UP), _COLORS, names, strict=True):
         if 'ground_truth_forces' in arrays:
             truth = np.asarray(arrays['ground_truth_forces'], float) @ direction
-            axes.plot(time, truth, color=color, alpha=0.35, linewidth=2.6, label=f'{name}, truth')
+            axes.plot(
+                time, truth, color=color, alpha=0.35, linewidth=2.6, label=f'{name}, ground truth'
+            )
         force = np.asarray(arrays['predicted_forces'], float) @ direction
         axes.plot(time, force, color=color, linewidth=1.2, label=f'{name}, model')
     for frame in frames:

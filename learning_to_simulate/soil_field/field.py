@@ -38,6 +38,8 @@ APART = 0.1
 # near a wall is, and from how far the tool has gone back in the soil.
 _SCALARS = ('lean', 'area', 'carried', 'speed')
 _OF_BINS = ('depth', 'bed_low', 'bed_high', 'uneven', 'wall', 'along', 'backed')
+# Of the ground: it is as in training where it differs by less than so much, m of the field.
+_OF_GROUND, SMOOTH = ('bed_low', 'bed_high', 'uneven'), 0.0005
 # Bins so far from the tool tell of the ground under it and about it, m of the field.
 HERE, NEAR = 0.05, 0.25
 
@@ -73,6 +75,7 @@ class SoilField:
         known = self._known
         low, high = np.array([known[name] for name in names], float).T
         extra = np.where([n in CONDITIONS for n in names], 0.0, MARGIN * (high - low)) + 1e-6
+        extra = np.maximum(extra, np.where([n in _OF_GROUND for n in names], SMOOTH, 0.0))
         return Ranges(names, low, high, np.stack([low - extra, high + extra]))
 
     @property

@@ -161,6 +161,8 @@ def depth(expression: str) -> int:
 AROUND = (-0.2, -0.13, -0.085, -0.055, -0.035, -0.017, 0.0, 0.017, 0.035, 0.055, 0.085, 0.13,
           0.2)  # fmt: skip
 AT_TOOL = (-0.16, -0.1, -0.06, -0.04, -0.02, -0.01, 0.0, 0.01, 0.02, 0.04, 0.07, 0.11, 0.16)
+# The last passage fades over so much travel, m.
+RECENT = 0.15
 # Soil farther behind the tool is at rest, and few drives of a wheel show it: all of it counts as so
 # far behind, m of the field.
 FAR = 0.2
@@ -221,6 +223,7 @@ _HERE = (
     Row('area_before', 0.01), Row('sqrt(area_before + 1e-6)', 0.1),
     Row('surface - height', 0.05),
     Row('at.cut', 0.03, at=AROUND), Row('at.surface - surface', 0.03, at=AROUND),
+    Row('since', RECENT, 'fade'),
 )  # fmt: skip
 _OF_PARTICLE = (
     Row('y - surface', 0.05), Row('y - height', 0.05), Row('y - height', 0.02, 'tanh'),

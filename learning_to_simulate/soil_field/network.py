@@ -237,8 +237,8 @@ class SoilNetworks(tf.Module):
         (strip, share), (out, out_share), (into, into_share) = strips
         u, z = places[..., 0], places[..., -1]
         here = self._at(
-            bins, ['cut', 'surface', 'area_before', 'influence', 'disturbed', 'struck'], strip,
-            share, u[..., None],
+            bins, ['cut', 'surface', 'since', 'area_before', 'influence', 'disturbed', 'struck'],
+            strip, share, u[..., None],
         )  # fmt: skip
         here = {name: value[..., 0] for name, value in here.items()}
         low = tf.gather(scalars, strip, batch_dims=1)

@@ -88,9 +88,10 @@ def tool_of(case: dict) -> Tool:
     width = float(case.get('blade_width_m', outline.get('width', case['body_width_m'])))
     if not outline:
         return Blade(width)
-    top = max(y for _, y in outline['outline']) - min(y for _, y in outline['outline'])
+    height = [y for _, y in outline['outline']]
     return Blade(
-        width, float(outline['edge_radius']), top, float(outline.get('name') == 'bucket'),
+        width, float(outline['edge_radius']), max(height) - min(height),
+        float(len(height) > 2),  # two points are a plate, all else that was taught is a bucket
         float('side_plates' in outline),
     )  # fmt: skip
 

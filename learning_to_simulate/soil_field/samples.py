@@ -199,7 +199,8 @@ def soil_part(networks, run: Run, rng) -> Part:
             )
             rows.append((seen.numpy()[0], gate.numpy()[0], moved[chosen], stands / len(rest)))
     part = _part(rows)
-    motion = np.sqrt((part.weight[:, None] * part.target**2).sum() / part.weight.sum())
+    total = part.weight.sum() or 1.0  # of a tool that is clear of all particles
+    motion = np.sqrt((part.weight[:, None] * part.target**2).sum() / total)
     return part._replace(weight=part.weight / max(motion, LEAST_MOTION) ** 2)
 
 

@@ -14,8 +14,8 @@ class SoilFieldConfig(Settings):
       model: the method, a name of `registry`.
       members: networks of each kind that are trained together from different first weights; their
         mean predicts, their spread says how sure it is.
-      num_steps: of training, of each network.
-      learning_rate: the first one; it ends at 0 along a cosine.
+      num_steps: of training the load; see `SCHEDULES`.
+      learning_rate: its first one; it ends at 0 along a cosine.
       seed: of first weights and draws.
 
     Raises:
@@ -36,5 +36,6 @@ class SoilFieldConfig(Settings):
 
 
 PRESETS = {'soil_field': SoilFieldConfig('soil_field')}
-# Rows of `samples` that a step takes, by network.
-BATCHES = {'load': 512, 'surface': 3072, 'soil': 3072}
+# By network: rows of `samples` that a step takes; times `num_steps`; times `learning_rate`. Loads
+# are few, and learned by heart; places are many.
+SCHEDULES = {'load': (512, 1, 1.0), 'surface': (1024, 3, 2.0), 'soil': (1024, 3, 2.0)}

@@ -21,6 +21,7 @@ import numpy as np
 from learning_to_simulate import swept
 
 WINDOW = 0.45  # m behind and before the tool that count
+FORGET = 1.0  # m
 MEMORIES = (0.0005, 0.002, 0.008, 0.03)  # m
 # A place counts as fully cut below this depth, m; between, it counts by its depth, so that nothing
 # jumps when the tool first touches the soil.
@@ -29,9 +30,10 @@ TOUCH = 0.002
 REACH = 0.35
 # How steeply the zone that has moved rises away from the cut: rise per length.
 RISE = 0.5
-# Channels of the bins of a frame: (3), height of the terrain over the level, (6), (8), (9), (5).
-CHANNELS = ('cut', 'surface', 'area_before', 'influence', 'disturbed', 'struck')
-CUT, SURFACE, AREA_BEFORE, INFLUENCE, DISTURBED, STRUCK = range(6)
+# Channels of the bins of a frame: (3), height of the terrain over the level, (5), (6), (8), (9),
+# (23).
+CHANNELS = ('cut', 'surface', 'since', 'area_before', 'influence', 'disturbed', 'struck')
+CUT, SURFACE, SINCE, AREA_BEFORE, INFLUENCE, DISTURBED, STRUCK = range(7)
 MOTIONS = ('along', 'up', 'turn', 'pace')  # d / ds, and ds over its duration, m/s: (7)
 # Scalars of a frame that come from the path; those of `tools.Tool.scalars` and `OF_PASSAGE` follow.
 SCALARS = (
@@ -40,7 +42,7 @@ SCALARS = (
 )  # fmt: skip
 
 # Soil that the tool has moved and not left behind, m2 (`passage`); how far below the tool the floor
-# is, and a wall ahead, m; soil of the layers that the tool can have left, m2: (23).
+# is, and a wall ahead, m; soil of the layers that the tool can have left, m2: (24).
 OF_PASSAGE = ('carried', 'below', 'ahead', 'layer')
 
 Read = Callable[[np.ndarray], np.ndarray]
@@ -81,8 +83,10 @@ class Sweep(NamedTuple):
       origin: [B] u of the bins' origin, m; bin k lies at `origin + grid.offsets[k]`.
       surface: [B, n] height of the terrain before the tool, m.
       profile: [B, n] the lowest of surface and undersides so far, m.
+      last: [B, n] distance travelled at the last passage below the surface, m; `-FORGET` where
+        there was none.
       area_before: [B, n], (6), m2.
-      struck: [B, n], (5), m.
+      struck: [B, n], (23), m.
       begun: [B] 1 where the tool has cut as deep as `TOUCH`, less where it has cut less.
       pose: [B, 3] u and y of the circle's centre (m) and its turn: lean of a blade, rad.
       memory: [B, K, 4] of `MOTIONS`, (7).
@@ -96,6 +100,7 @@ class Sweep(NamedTuple):
     origin: np.ndarray
     surface: np.ndarray
     profile: np.ndarray
+    last: np.ndarray
     area_before: np.ndarray
     struck: np.ndarray
     begun: np.ndarray
@@ -145,7 +150,7 @@ def start(pose, read: Read, grid: Grid = GRID) -> Sweep:
     surface = _checked('terrain', read(origin[:, None] + grid.offsets))
     none, never = np.zeros_like(origin), np.zeros_like(surface)
     return Sweep(
-        origin, surface, surface, never, never, none, pose,
+        origin, surface, surface, np.full_like(surface, -FORGET), never, never, none, pose,
         np.zeros((len(pose), len(MEMORIES), len(MOTIONS))), none, none, origin, none, none,
     )  # fmt: skip
 
@@ -183,7 +188,7 @@ def advance(
     deepest = (after.surface - after.profile).max(axis=1)
     begun = np.maximum(state.begun, np.minimum(deepest / TOUCH, 1.0))
     over = begun[:, None] * np.clip(state.surface + strikes - height, 0.0, strikes)
-    after = after._replace(begun=begun, struck=np.maximum(state.struck, over))  # (5)
+    after = after._replace(begun=begun, struck=np.maximum(state.struck, over))  # (23)
     # (6): what the tool passes over without a cut may come from what it has left.
     is_new = (after.struck > 0) & ~(state.struck > 0) & ~(after.profile < after.surface)
     there = area(state, grid)
@@ -229,6 +234,7 @@ def _shifted(state, shift, origin, read, grid):
         origin=origin,
         surface=surface,
         profile=np.where(is_new, surface, _taken(state.profile, old)),
+        last=np.where(is_new, state.travelled[:, None] - FORGET, _taken(state.last, old)),
         area_before=np.where(is_new, 0.0, _taken(state.area_before, old)),
         struck=np.where(is_new, 0.0, _taken(state.struck, old)),
         dropped=state.dropped + grid.spacing * lost.sum(axis=1),
@@ -253,7 +259,7 @@ def all_cut(state: Sweep, grid: Grid = GRID) -> np.ndarray:
 
 
 def layer(state: Sweep, strikes: float, grid: Grid = GRID) -> np.ndarray:
-    """[B], m2: (23)."""
+    """[B], m2: (24)."""
     uncut = 1.0 - np.minimum((state.surface - state.profile) / TOUCH, 1.0)
     passed = np.minimum(state.struck / TOUCH, 1.0)
     return grid.spacing * (uncut * passed * (strikes - state.struck)).sum(axis=1)
@@ -271,14 +277,17 @@ def cone(values, fall: float) -> np.ndarray:
 def channels(state: Sweep, level, grid: Grid = GRID) -> np.ndarray:
     """float32 [B, n, C] of `CHANNELS`; heights from a level [B], m."""
     cut = state.surface - state.profile
-    passed = np.minimum(np.maximum(cut, state.struck) / TOUCH, 1.0)
+    touched = np.minimum(cut / TOUCH, 1.0)
+    passed = np.maximum(touched, np.minimum(state.struck / TOUCH, 1.0))
+    since = np.minimum(state.travelled[:, None] - state.last, FORGET)
     seen = [
         cut,  # (3)
         state.surface - np.asarray(level)[:, None],
+        FORGET - touched * (FORGET - since),  # (5)
         state.area_before,  # (6)
         np.clip(3.0 * cone(passed, grid.spacing / REACH), 0.0, 1.0),  # (8)
         cone(cut, RISE * grid.spacing),  # (9)
-        state.struck,  # (5)
+        state.struck,  # (23)
     ]
     return np.stack(seen, axis=-1).astype(np.float32)
 

@@ -14,7 +14,7 @@ import tqdm
 from learning_to_simulate.soil_field import network, samples
 from learning_to_simulate.soil_field.field import CONDITIONS, SoilField
 from learning_to_simulate.soil_field.runs import Run
-from learning_to_simulate.soil_field.settings import BATCHES, SoilFieldConfig
+from learning_to_simulate.soil_field.settings import SCHEDULES, SoilFieldConfig
 from learning_to_simulate.soil_field.tools import TOOLS
 
 CLIP_NORM = 1.0
@@ -190,12 +190,13 @@ def loss_of(call, scale, pools) -> float:
 
 def _fit(part, call, scale, name, pools, config, noise, progress, saved=None):
     variables = part.trainable_variables
-    schedule = tf.keras.optimizers.schedules.CosineDecay(config.learning_rate, config.num_steps)
+    batch, longer, faster = SCHEDULES[name]
+    num_steps = longer * config.num_steps
+    schedule = tf.keras.optimizers.schedules.CosineDecay(faster * config.learning_rate, num_steps)
     optimizer = tf.keras.optimizers.Adam(schedule, global_clipnorm=CLIP_NORM)
     optimizer.build(variables)
     counts = np.array([len(pool.weight) for pool in pools])
     mean = sum(pool.weight.sum(dtype=np.float64) for pool in pools) / counts.sum()
-    batch = BATCHES[name]
     # ROBUST in the unit of errors: weights of a load are 1 over the mean square of a run.
     limit = float((ROBUST / network.FORCE) ** 2 / mean) if name == 'load' else 0.0
     # Pools are drawn from by their shares.
@@ -224,8 +225,8 @@ def _fit(part, call, scale, name, pools, config, noise, progress, saved=None):
     state = [*variables, *optimizer.variables]
     first, late = saved.restore(name, state) if saved else (0, [])
     bar = tqdm.tqdm(
-        range(first, config.num_steps), initial=first, total=config.num_steps, unit='step',
-        desc=name, disable=None if progress else True,
+        range(first, num_steps), initial=first, total=num_steps, unit='step', desc=name,
+        disable=None if progress else True,
     )  # fmt: skip
     for number in bar:
         rng = np.random.Generator(
@@ -240,13 +241,13 @@ def _fit(part, call, scale, name, pools, config, noise, progress, saved=None):
             weight = (pool.weight[rows] / mean).astype(np.float32)
             drawn.append((inputs, pool.target[rows], weight))
         loss = step(drawn)
-        if number % 50 == 0 or number + 1 > 0.9 * config.num_steps:
+        if number % 50 == 0 or number + 1 > 0.9 * num_steps:
             value = float(loss) / config.members
             if not np.isfinite(value):
                 raise ValueError(f'the loss of the {name} is {value} at step {number}')
             bar.set_postfix(loss=f'{value:.3g}')
-            if number + 1 > 0.9 * config.num_steps:
+            if number + 1 > 0.9 * num_steps:
                 late.append(value)
         if saved:
-            saved.keep(name, number + 1, number + 1 == config.num_steps, state, late)
+            saved.keep(name, number + 1, number + 1 == num_steps, state, late)
     return float(np.mean(late))

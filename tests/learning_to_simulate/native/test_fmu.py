@@ -8,6 +8,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
+import learning_to_simulate as lts
 from learning_to_simulate.native import fmu, fmu_variables, library, soil_data
 from learning_to_simulate.native.binding import CSubspace
 from learning_to_simulate.soil_field.stepper import SoilStepper
@@ -457,3 +458,39 @@ def test_what_no_soil_field_can_be_is_refused(soils, tmp_path):
     for tools in (0, 17):
         with pytest.raises(ValueError, match=f'tools is {tools}'):
             fmu_variables.of(values, tools)
+
+
+def test_a_blade_of_20_kg_comes_to_rest_under_its_weight_by_an_implicit_master(tmp_path):
+    """Backward Euler of its height, by Newton with the FMU's derivative, between bounds."""
+    model, path = lts.load('excavation'), str(tmp_path / 'soil.fmu')
+    fmu.write(path, 'lts_excavation', soil_data.values(model.model))
+    mass, gravity, h, y, speed = 20.0, 9.81, 0.004, 0.02, 0.0
+    slave = _Slave(path, tmp_path / 'x', pos=[2.0, y, 1.0])
+    force, height, rate = (
+        [slave.vr[f'tool_{n}.y']] for n in ('load.force', 'state.pos', 'state.lin_vel')
+    )
+    slopes, ends = [], []
+    for _ in range(150):
+        state = slave.c.getFMUstate()
+        low, high, trial = -2.0, 1.0, speed
+        for _ in range(60):
+            slave.c.setReal(height + rate, [y, trial])
+            (slope,) = slave.c.getDirectionalDerivative(force, rate, [1.0])
+            slave.c.doStep(slave.time, h)
+            (up,) = slave.c.getReal(force)
+            wrong = mass * (trial - speed) / h - up + mass * gravity
+            if abs(wrong) < 0.01 or high - low < 1e-9:
+                break
+            low, high = (trial, high) if wrong < 0 else (low, trial)
+            trial -= wrong / (mass / h - slope)
+            trial = trial if low < trial < high else (low + high) / 2
+            slave.c.setFMUstate(state)
+        slave.c.freeFMUstate(state)
+        slave.time, y, speed = slave.time + h, y + h * trial, trial
+        slopes.append(slope)
+        ends.append([y, speed, up])
+    ends = np.array(ends)
+    np.testing.assert_allclose(ends[-20:, 2], mass * gravity, rtol=0.005)
+    assert np.ptp(ends[-20:, 0]) < 1e-5 and np.abs(ends[-20:, 1]).max() < 1e-3
+    assert min(slopes) < -1.0 and ends[-1, 0] < 0.014  # it stands in the soil
+    slave.free()

@@ -12,6 +12,7 @@ from learning_to_simulate.live.poses import turned
 from learning_to_simulate.native import library, soil_data, soil_engine
 from learning_to_simulate.native.binding import KERNELS
 from learning_to_simulate.soil_field import sweep
+from learning_to_simulate.soil_field.field import CONDITIONS
 from learning_to_simulate.soil_field.loaded import LoadedTool
 from learning_to_simulate.soil_field.stepper import SoilStepper
 from learning_to_simulate.soil_field.terrain import Terrain
@@ -424,18 +425,17 @@ def test_a_dam_is_flagged_where_it_bears():
     assert frame.force.any() and frame.now.status == 'extrapolating'
 
 
+@pytest.mark.parametrize('tool', TOOLS.values(), ids=TOOLS)
+def test_all_numbers_that_are_judged_flag_word_for_word(tool):
+    found = [name for name in field(tool.name).judged_names if name not in CONDITIONS]
+    for name in found:
+        pair = both(hills(), tool, ranged(tool.name, **{name: [50.0, 60.0]}))
+        frame, _ = drive(pair, path(20, 0.2))
+        assert frame.reason.startswith(f'{name} ') and frame.status == 'extrapolating'
+    assert {'lean', 'carried', 'half_width', 'bed_low', 'uneven', 'along', 'backed'} < set(found)
+
+
 def test_flags_word_for_word():
-    place = dict(yaw=0.0, shift=(0.0, 0.0, 0.0))
-    for name, value, message in (
-        ('lean', [5.0, 6.0], 'lean'), ('area', [3.0, 4.0], 'area'), ('speed', [5.0, 6.0], 'speed'),
-        ('half_width', [0.5, 0.6], 'half_width'), ('depth', [0.5, 0.6], 'depth'),
-        ('bed_low', [0.5, 0.6], 'bed_low'), ('bed_high', [0.5, 0.6], 'bed_high'),
-        ('uneven', [0.5, 0.6], 'uneven'), ('wall', [0.5, 0.6], 'wall'),
-        ('along', [0.5, 0.6], 'along'), ('backed', [0.5, 0.6], 'backed'),
-    ):  # fmt: skip
-        pair = both(hills(), made=ranged(**{name: value}))
-        frame, _ = drive(pair, path(20, 0.2), **place)
-        assert frame.reason.startswith(f'{message} ') and frame.status == 'extrapolating'
     for turn, name in (([0, 0.1, 0], 'yaw'), ([0.06, 0, 0], 'roll'), (None, 'aside')):
         pair = both(hills())
         frame, _ = drive(pair, path(15, 0.2))

@@ -36,7 +36,13 @@ def test_section_map_and_force_are_those_of_the_arrays():
         'kind': np.array('grid'),
     }
     figure = terrain_views.figure(arrays(**truth), [1, 2], 'cut', 50)
-    assert '(kind grid)' in figure.get_suptitle()
+    points = np.zeros((3, 4, 3))
+    truth |= {'predicted_particles': points, 'ground_truth_particles': points + 0.002}
+    figure = terrain_views.figure(arrays(**truth), [1, 2], 'cut', 50)
+    title = figure.get_suptitle()
+    assert '(kind grid)' in title and 'force off by 54 %, soil by 2 mm' in title
+    names = [text.get_text() for text in figure.axes[-1].get_legend().get_texts()]
+    assert 'up, ground truth' in names and 'up, model' in names
     side, plan, true_plan, last_side = figure.axes[:4]
     now, true, was = side.get_lines()
     u, heights = now.get_data()

@@ -19,7 +19,7 @@ from tests.pca_tools.test_heights import BIN, SPLITS, surface
         ({'body_width_m': 0.457}, Blade(0.457)),
         ({'blade_width_m': 0.3, 'body_width_m': 0.3}, Blade(0.3)),
         (
-            {'body_width_m': 0.4, 'tool': {'name': 'bucket', 'width': 0.4, 'edge_radius': 0.004,
+            {'body_width_m': 0.4, 'tool': {'name': 'scoop', 'width': 0.4, 'edge_radius': 0.004,
              'outline': [[0, 0.0], [0.2, 0.03], [0.1, 0.35]], 'side_plates': {'thickness': 0.02}}},
             Blade(0.4, 0.004, 0.35, 1.0, 1.0),
         ),
@@ -95,6 +95,7 @@ def test_a_dataset_gives_its_raw_runs(tmp_path):
         assert run.particles.shape[0] == len(run.heights) == 6 and run.stride == 4
         assert run.tool == Blade(0.5) and run.terrain(8).shape == run.heights.shape[1:]
         assert (run.terrain(8).heights == run.heights[2]).all()
+        assert (run.before().heights == run.heights[0]).all() and np.ptp(run.heights[0]) > 1e-3
         np.testing.assert_allclose(run.terrain().cell * run.terrain().shape, [BIN[0], BIN[2]])
 
 

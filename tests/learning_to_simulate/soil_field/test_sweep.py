@@ -42,9 +42,9 @@ def drawn(path, turn, n=2000):
     u = path[0, 0] + sweep.GRID.offsets
     surface = ground(np.stack([u, u]))
     profile, foremost, way = surface.copy(), np.full(2, path[0, 0]), 0.0
-    before = np.zeros_like(surface)
+    last, before = np.full(surface.shape, -np.inf), np.zeros_like(surface)
     struck, begun, layer = np.zeros_like(surface), np.zeros((2, 1)), np.zeros(2)
-    motions, found = [], []
+    motions, travelled, found = [], 0.0, []
     for a, b, x in zip(path[:-1], path[1:], turn):
         place = np.linspace(a[:2], b[:2], n)
         area = ((surface - profile) * (np.abs(u - a[0]) < sweep.WINDOW)).sum(axis=1) * 0.005
@@ -60,15 +60,17 @@ def drawn(path, turn, n=2000):
         thick = np.where(struck > 0.002, STRIKES - struck, struck / 0.002 * (STRIKES - struck))
         shallow = 1 - np.minimum((surface - new) / 0.002, 1)
         layer = 0.005 * (shallow * thick).sum(axis=1)
+        travelled += np.linalg.norm(b[:2] - a[:2])
+        last = np.where(e < surface, travelled, last)
         foremost = np.where((e < surface).any(axis=1), np.maximum(foremost, b[0]), foremost)
         # Motions and lengths of small pieces.
         ds = np.linalg.norm(b[:2] - a[:2]) + abs(x)
         motions += [(ds / n, np.array([*(b[:2] - a[:2]), x, ds**2 / DT]) / ds)] * n
         profile, way = new, way + ds
         found.append(
-            {'profile': profile, 'way': way, 'area_before': before, 'foremost': foremost,
-             'memory': memory(motions), 'speed': ds / DT, 'cut': surface - profile,
-             'struck': struck, 'layer': layer}
+            {'profile': profile, 'since': np.minimum(travelled - last, sweep.FORGET), 'way': way,
+             'area_before': before, 'foremost': foremost, 'memory': memory(motions),
+             'speed': ds / DT, 'cut': surface - profile, 'struck': struck, 'layer': layer}
         )  # fmt: skip
     return found
 
@@ -92,9 +94,13 @@ def test_a_sweep_is_that_of_a_circle_drawn_along_the_path():
         assert (state.profile <= want['profile'] + 1e-12).all()
         np.testing.assert_allclose(bins[..., sweep.CUT], want['cut'], atol=wrong.max() + 1e-7)
         close = wrong < 1e-5
-        for name in ('area_before', 'struck'):
+        # A place that is hardly cut counts as passed by its share.
+        share = np.minimum(want['cut'] / 0.002, 1.0)
+        want['since'] = sweep.FORGET - share * (sweep.FORGET - want['since'])
+        for name in ('since', 'area_before', 'struck'):
             found = bins[..., sweep.CHANNELS.index(name)]
-            np.testing.assert_allclose(found[close], want[name][close], atol=2e-5)
+            bound = 2e-5 if name != 'since' else 2e-5 + wrong[close].max() / 0.002
+            np.testing.assert_allclose(found[close], want[name][close], atol=bound)
         np.testing.assert_allclose(sweep.layer(state, STRIKES), want['layer'], atol=5e-5)
         seen = dict(zip(sweep.SCALARS, own.T))
         assert seen['way'] == pytest.approx(want['way'], rel=1e-6)

@@ -7,7 +7,7 @@
 #include "lts_soil_model.h"
 
 #define LTS_SOIL_MAGIC 0x4c545331u
-#define LTS_SOIL_ROWS 4
+#define LTS_SOIL_ROWS 5
 #define LTS_SOIL_LANES 48 /* places that go through a network at once: they stay in the first cache */
 
 /* The vertical plane of a passage: origin, and level unit vectors, x and z of each; m. Twin of `place.py`. */
@@ -32,7 +32,7 @@ typedef struct {
 
 typedef struct {
   lts_way s;
-  double *surface, *profile, *area_before, *struck; /* LTS_SOIL_ROWS of [strips][n_bin] */
+  double *surface, *profile, *last, *area_before, *struck; /* LTS_SOIL_ROWS of [strips][n_bin] */
 } lts_passage;
 
 /* Cells in sight, ascending: their numbers in the flat map, heights before the tool and as it left them (m), u and
@@ -82,6 +82,7 @@ struct lts_soil {
   int32_t *gone; /* [cells] numbers of cells that are out of sight */
   float *risen;  /* [cells] */
   double *box;   /* about the cells in sight: what others have changed there */
+  double *moved[2];    /* [cells of a row of the terrain] what slides to a row, and to the next one */
   unsigned char *kept; /* [cells of the terrain] 1 of those that stay as they are, while soil slides */
   double *under, *fresh, *first, *second; /* [n_bin], [strips][n_bin], [n_bin], [n_bin] */
   /* places, and rows on their way through a network. */

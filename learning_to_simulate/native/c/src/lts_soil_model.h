@@ -16,10 +16,10 @@
 /* Channels of the bins of a frame; the last one, of the load only, is the ground of a neighbour: its surface
  * without its cut. */
 enum {
-  LTS_SOIL_CUT = 0, LTS_SOIL_SURFACE = 1, LTS_SOIL_AREA_BEFORE = 2, LTS_SOIL_INFLUENCE = 3, LTS_SOIL_DISTURBED = 4,
-  LTS_SOIL_STRUCK = 5, LTS_SOIL_BESIDE = 6
+  LTS_SOIL_CUT = 0, LTS_SOIL_SURFACE = 1, LTS_SOIL_SINCE = 2, LTS_SOIL_AREA_BEFORE = 3, LTS_SOIL_INFLUENCE = 4,
+  LTS_SOIL_DISTURBED = 5, LTS_SOIL_STRUCK = 6, LTS_SOIL_BESIDE = 7
 };
-#define LTS_SOIL_CHANNELS 6
+#define LTS_SOIL_CHANNELS 7
 #define LTS_SOIL_UNDER_ALONG 11 /* places at which soil is looked for that has risen under a tool in the air */
 #define LTS_SOIL_UNDER_ACROSS 5
 #define LTS_SOIL_CONDITIONS 7   /* the last of what is judged */
@@ -49,7 +49,7 @@ struct lts_soil_model {
   int32_t n_bin, n_behind, chunk, n_channel;
   double spacing, back, on;
   /* Sweep. */
-  double window, memories[4], touch, reach, rise;
+  double window, forget, memories[4], touch, reach, rise;
   /* Strips: under a tool, and on either side. */
   int32_t n_column, n_beside;
   double beside_width, across[5]; /* across: where a strip is read, in its widths */
@@ -61,7 +61,7 @@ struct lts_soil_model {
                                                 * place; over the terrain */
   /* Terrain: of soil that slides. */
   int32_t slides, unused_slides;
-  double slope_tolerance;
+  double slope_tolerance, slide_shares[3];
   /* Stepper. */
   double fastest, fastest_turn, turned, moved;
   /* Inputs. n_scalar: of a frame; n_own: of those of a tool, of which `radius` is one and the half width the

@@ -68,6 +68,7 @@ void lts_soil_copy(const lts_soil *soil, lts_passage *to, const lts_passage *fro
   to->s = from->s;
   memcpy(to->surface, from->surface, n);
   memcpy(to->profile, from->profile, n);
+  memcpy(to->last, from->last, n);
   memcpy(to->area_before, from->area_before, n);
   memcpy(to->struck, from->struck, n);
 }
@@ -108,7 +109,7 @@ int lts_soil_begin(lts_soil *soil, lts_passage *p, const lts_pose *pose, int set
 }
 
 void lts_soil_take_all_strips(const lts_soil *soil, lts_passage *p) {
-  double *of[LTS_SOIL_ROWS] = {p->surface, p->profile, p->area_before, p->struck};
+  double *of[LTS_SOIL_ROWS] = {p->surface, p->profile, p->last, p->area_before, p->struck};
   const int n = lts_soil_n_strip(soil);
   for (int j = 1; j < n; ++j) {
     for (int i = 0; i < LTS_SOIL_ROWS; ++i) {

@@ -32,6 +32,7 @@ static int take(const lts_soil *soil, const lts_passage *p, int is_surface, cons
   }
   at->here[LTS_SOIL_CUT][i] = lts_soil_channel(soil, LTS_SOIL_CUT, &spot);
   at->here[LTS_SOIL_SURFACE][i] = surface;
+  at->here[LTS_SOIL_SINCE][i] = lts_soil_channel(soil, LTS_SOIL_SINCE, &spot);
   at->here[LTS_SOIL_AREA_BEFORE][i] = lts_soil_channel(soil, LTS_SOIL_AREA_BEFORE, &spot);
   at->here[LTS_SOIL_INFLUENCE][i] = influence;
   at->here[LTS_SOIL_DISTURBED][i] = disturbed;

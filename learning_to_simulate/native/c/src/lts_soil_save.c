@@ -18,7 +18,7 @@ enum { N_PARTS = LTS_SOIL_ROWS + 5 };
 /* The other parts of a passage and its cells, and their bytes; of whole words of 8 bytes. */
 static size_t find_parts(const lts_soil *soil, const lts_passage *p, const lts_cells *c, int n_strip, int32_t n_cells,
                          void *parts[N_PARTS], size_t sizes[N_PARTS]) {
-  void *const found[N_PARTS] = {p->surface, p->profile, p->area_before, p->struck,
+  void *const found[N_PARTS] = {p->surface, p->profile, p->last, p->area_before, p->struck,
                                 c->number,  c->before,  c->left, c->u,           c->across};
   size_t all = sizeof(saved_soil);
   for (int i = 0; i < N_PARTS; ++i) {

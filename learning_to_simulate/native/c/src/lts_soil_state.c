@@ -82,6 +82,7 @@ static size_t lay_out(const lts_soil_model *m, const lts_soil_tool *tool, const 
   for (int i = 0; i < 2; ++i) {
     TAKE(passage[i].surface, double, strips * bins)
     TAKE(passage[i].profile, double, strips * bins)
+    TAKE(passage[i].last, double, strips * bins)
     TAKE(passage[i].area_before, double, strips * bins)
     TAKE(passage[i].struck, double, strips * bins)
     TAKE(cells[i].number, int32_t, cells)
@@ -95,6 +96,9 @@ static size_t lay_out(const lts_soil_model *m, const lts_soil_tool *tool, const 
   }
   TAKE(gone, int32_t, cells)
   TAKE(box, double, box)
+  for (int i = 0; i < 2; ++i) {
+    TAKE(moved[i], double, (size_t)t->n[1])
+  }
   TAKE(kept, unsigned char, (size_t)t->n[0] * (size_t)t->n[1])
   TAKE(risen, float, cells)
   TAKE(under, double, bins)

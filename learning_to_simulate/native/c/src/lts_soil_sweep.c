@@ -27,6 +27,7 @@ void lts_soil_sweep_start(lts_soil *soil, lts_passage *p) {
   const size_t n = LTS_SOIL_ROW(soil, p->s.n_strip);
   memcpy(p->profile, p->surface, n * sizeof *p->profile);
   for (size_t k = 0; k < n; ++k) {
+    p->last[k] = -soil->model->forget;
     p->area_before[k] = p->struck[k] = 0.0;
   }
   memset(p->s.memory, 0, sizeof p->s.memory);
@@ -63,7 +64,8 @@ void lts_soil_shift(lts_soil *soil, lts_passage *p, double origin, int shift) {
   const int first = shift > 0 ? kept : 0; /* of the new bins */
   for (int j = 0; j < p->s.n_strip; ++j) {
     const size_t row = LTS_SOIL_ROW(soil, j);
-    double *of[LTS_SOIL_ROWS] = {p->surface + row, p->profile + row, p->area_before + row, p->struck + row};
+    double *of[LTS_SOIL_ROWS] = {p->surface + row, p->profile + row, p->last + row, p->area_before + row,
+                                 p->struck + row};
     const int lost = shift > 0 ? 0 : kept; /* the first bin that is dropped */
     p->s.dropped[j] += soil->model->spacing * sum_of_cuts(of[0], of[1], lost, lost + n - kept);
     for (int i = 0; kept && i < LTS_SOIL_ROWS; ++i) {
@@ -71,7 +73,8 @@ void lts_soil_shift(lts_soil *soil, lts_passage *p, double origin, int shift) {
     }
     for (int k = first; k < first + n - kept; ++k) {
       of[0][k] = of[1][k] = soil->fresh[row + (size_t)k];
-      of[2][k] = of[3][k] = 0.0;
+      of[2][k] = p->s.travelled - soil->model->forget;
+      of[3][k] = of[4][k] = 0.0;
     }
   }
   p->s.origin = origin;
@@ -98,7 +101,7 @@ static double area(const lts_soil *soil, const lts_passage *p, int strip) {
   return du * sum;
 }
 
-/* (23), of one strip. */
+/* (24), of one strip. */
 static double layer(const lts_soil *soil, const lts_passage *p, int strip) {
   const lts_soil_model *m = soil->model;
   const size_t row = LTS_SOIL_ROW(soil, strip);
@@ -165,6 +168,7 @@ void lts_soil_advance(lts_soil *soil, lts_passage *p, const double pose[3], doub
         continue;
       }
       passed = 1;
+      p->last[row + (size_t)k] = w->travelled; /* (5) */
       if (!(profile[k] < surface[k])) {
         /* (6): the area before this frame, so that what is cut together has one value. */
         if (before < 0.0) before = area(soil, p, j);
@@ -177,7 +181,7 @@ void lts_soil_advance(lts_soil *soil, lts_passage *p, const double pose[3], doub
       deepest = fmax(deepest, surface[k] - profile[k]);
     }
     w->begun[j] = fmax(w->begun[j], fmin(deepest / m->touch, 1.0));
-    for (int k = begin; w->begun[j] > 0.0 && k < end; ++k) { /* (5) */
+    for (int k = begin; w->begun[j] > 0.0 && k < end; ++k) { /* (23) */
       const double over = w->begun[j] * fmin(surface[k] + m->strikes - soil->under[k], m->strikes);
       struck[k] = fmax(struck[k], over);
     }
@@ -216,8 +220,10 @@ static void see_past(lts_soil *soil, const lts_passage *p, size_t row) {
   double *touched = soil->first, *depth = soil->second;
   for (int k = 0; k < m->n_bin; ++k) {
     const size_t i = row + (size_t)k;
+    const double way = fmin(p->s.travelled - p->last[i], m->forget);
     depth[k] = surface[k] - profile[k];
     touched[k] = fmin(fmax(depth[k], struck[k]) / m->touch, 1.0);
+    soil->bins[LTS_SOIL_SINCE][i] = (float)(m->forget - fmin(depth[k] / m->touch, 1.0) * (m->forget - way)); /* (5) */
     soil->bins[LTS_SOIL_AREA_BEFORE][i] = (float)p->area_before[i];
     soil->bins[LTS_SOIL_STRUCK][i] = (float)struck[k];
   }

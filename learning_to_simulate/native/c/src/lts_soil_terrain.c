@@ -333,26 +333,37 @@ static void box_about(const lts_terrain *t, const int least[2], const int most[2
   }
 }
 
-/* One round of slides between neighbours at an offset, of every other pair. Returns the largest height that slid
- * or would have. */
-static double slide(const lts_soil *soil, const int low[2], const int high[2], int dx, int dz, int odd,
-                    double steepest) {
+/* Slides between neighbours at some offsets, all at once: so much of what is too steep moves from the higher one to
+ * the lower. Returns the largest height by which any was too steep. */
+static double slide(const lts_soil *soil, const int low[2], const int high[2], const int (*ways)[2], int n_way,
+                    double share, double friction) {
   const lts_terrain *t = soil->terrain;
-  const int first = low[1] + (dz < 0), last = high[1] - (dz > 0);
-  double most = 0.0;
-  for (int i = low[0]; i < high[0] - dx; ++i) {
-    if (dx && (i - low[0]) % 2 != odd) continue;
-    const int step = dx ? 1 : 2;
-    for (int j = first + (dx ? 0 : odd); j < last; j += step) {
-      const size_t a = (size_t)i * (size_t)t->n[1] + (size_t)j;
-      const size_t b = (size_t)(i + dx) * (size_t)t->n[1] + (size_t)(j + dz);
-      const double fall = t->heights[a] - t->heights[b];
-      if ((fall <= steepest && fall >= -steepest) || soil->kept[a] || soil->kept[b]) continue;
-      const double excess = fall - (fall > steepest ? steepest : fall < -steepest ? -steepest : fall);
-      t->heights[a] -= excess / 2.0;
-      t->heights[b] += excess / 2.0;
-      most = fmax(most, fabs(excess));
+  const size_t width = (size_t)(high[1] - low[1]);
+  double *now = soil->moved[0], *next = soil->moved[1], most = 0.0; /* of this row and of the next one */
+  memset(now, 0, width * sizeof *now);
+  for (int i = low[0]; i < high[0]; ++i) {
+    double *const row = t->heights + (size_t)i * (size_t)t->n[1] + low[1];
+    memset(next, 0, width * sizeof *next);
+    for (int w = 0; w < n_way; ++w) {
+      const int dx = ways[w][0], dz = ways[w][1];
+      if (i + dx >= high[0]) continue;
+      const double steepest = friction * hypot(t->cell[0] * dx, t->cell[1] * dz);
+      const double *other = row + dx * t->n[1];
+      const unsigned char *kept = soil->kept + (row - t->heights), *other_kept = kept + dx * t->n[1];
+      double *to = dx ? next : now;
+      for (int j = dz < 0; j < (int)width - (dz > 0); ++j) {
+        const double fall = row[j] - other[j + dz];
+        if ((fall <= steepest && fall >= -steepest) || kept[j] || other_kept[j + dz]) continue;
+        const double excess = fall - (fall > steepest ? steepest : -steepest);
+        now[j] -= share * excess;
+        to[j + dz] += share * excess;
+        most = fmax(most, fabs(excess));
+      }
     }
+    for (size_t j = 0; j < width; ++j) row[j] += now[j];
+    double *const done = now;
+    now = next;
+    next = done;
   }
   return most;
 }
@@ -390,12 +401,9 @@ void lts_soil_settle(lts_soil *soil, const int32_t *cells, int32_t n, const lts_
   for (int32_t k = 0; stay && k < stay->n; ++k) soil->kept[stay->number[k]] = 1;
   for (int round = 0; round < m->slides; ++round) {
     double most = 0.0;
-    for (int i = 0; i < 4; ++i) {
-      const double x = t->cell[0] * pairs[i][0], z = t->cell[1] * pairs[i][1];
-      for (int odd = 0; odd < 2; ++odd) {
-        const double slid = slide(soil, low, high, pairs[i][0], pairs[i][1], odd, friction * hypot(x, z));
-        most = fmax(most, slid);
-      }
+    for (int i = 0; i < 3; ++i) { /* along x, along z, both diagonals */
+      const double slid = slide(soil, low, high, &pairs[i], i < 2 ? 1 : 2, m->slide_shares[i], friction);
+      most = fmax(most, slid);
     }
     if (most <= m->slope_tolerance) break;
   }
