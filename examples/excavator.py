@@ -25,11 +25,11 @@ from film import Film  # noqa: E402
 PIVOT, BOOM, STICK, BUCKET = 0.75, 1.35, 0.95, 0.3  # m: height of the boom's pin, lengths
 # s, and where the edge is then: away from the pin of the boom, height, lean (rad, m), swing (rad).
 CUT = (
-    (0.0, 2.15, 0.20, 0.25), (1.0, 2.15, 0.03, 0.25), (2.4, 1.95, -0.08, 0.25),
-    (4.2, 1.55, -0.08, 0.35), (5.4, 1.35, 0.05, 0.75), (6.4, 1.35, 0.45, 0.80),
+    (0.0, 2.15, 0.20, 0.25), (1.2, 2.15, 0.03, 0.25), (2.9, 1.95, -0.042, 0.25),
+    (5.7, 1.55, -0.042, 0.35), (7.4, 1.35, 0.05, 0.75), (8.4, 1.35, 0.45, 0.80),
 )  # fmt: skip
-DUMP = ((7.9, 1.6, 0.5, 0.8), (8.7, 1.7, 0.5, -0.5), (9.7, 2.15, 0.35, 0.25))
-FIRST, SIDE, SECOND, PERIOD = -0.13, 1.1, 0.13, 10.2  # swing of cuts and dump; s from cut to cut
+DUMP = ((9.9, 1.6, 0.5, 0.8), (10.7, 1.7, 0.5, -0.5), (11.7, 2.15, 0.35, 0.25))
+FIRST, SIDE, SECOND, PERIOD = -0.13, 1.1, 0.13, 12.2  # swing of cuts and dump; s from cut to cut
 
 
 def path():

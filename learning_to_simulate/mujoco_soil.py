@@ -281,12 +281,10 @@ class MujocoSoil:
         self._press(whole[:, 1], answer[1::6])
         mujoco.mj_kinematics(m, d)
         far = max(1.0, DT / dt)
-        poses = [
-            _ahead(stepper.frame.pose, self._pose(spot), far)
-            for stepper, spot in zip(self._steppers, self._spots, strict=True)
-        ]
-        rises = [self._pose(spot)[1] - stepper.frame.pose[1]
-                 for stepper, spot in zip(self._steppers, self._spots, strict=True)]  # fmt: skip
+        last = [stepper.frame.pose for stepper in self._steppers]
+        reached = [self._pose(spot) for spot in self._spots]
+        poses = [_ahead(*two, far) for two in zip(last, reached, strict=True)]
+        rises = [b[1] - a[1] for a, b in zip(last, reached, strict=True)]
         mujoco.mj_setState(m, d, state, _STATE)
         self.wrenches = wrenches  # as `data` has them again
 
