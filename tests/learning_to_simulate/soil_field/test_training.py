@@ -1,6 +1,7 @@
 """Training on a soil whose law is known: what is learned holds on a path that was not seen."""
 
 import dataclasses
+import types
 
 import numpy as np
 import pytest
@@ -39,14 +40,20 @@ def test_ranges_are_those_of_the_runs():
 def test_two_trainings_are_equal_and_bad_ones_refused():
     field = training.make_field(worlds.CONFIG, 'blade', worlds.SMALL)
     pools = training.parts_of(field, [worlds.run(1)])
+    steps: dict = {}
+    saved = types.SimpleNamespace(
+        restore=lambda name, state: (0, []),
+        keep=lambda name, step, last, *state: steps.update({name: step}),
+    )
 
     def made(seed):
         config = worlds.SoilFieldConfig('soil_field', members=1, num_steps=4, seed=seed)
         field = training.make_field(config, 'blade', worlds.SMALL)
-        training.fit(field, pools, progress=False)
+        training.fit(field, pools, progress=False, saved=saved)
         return field.networks.soil.layers[0][0].numpy()
 
     assert (made(0) == made(0)).all()
+    assert steps == {'load': 4, 'surface': 12, 'soil': 12}
     assert (made(0) != made(1)).any()
     with pytest.raises(ValueError, match='no runs to learn from'):
         training.parts_of(field, [])
