@@ -2,20 +2,20 @@
 
 Examples:
     # a strip of moments, a GIF and a movie
-    python -m learning_to_simulate.render_rollout --rollout_path=rollouts/rollout_test_0.npz \\
+    lts render --rollout_path=rollouts/rollout_test_0.npz \\
         --data_path=datasets/excavation --output_path=pictures
 
     # from above, coloured by the error of the prediction
-    python -m learning_to_simulate.render_rollout --rollout_path=rollouts/rollout_test_0.npz \\
+    lts render --rollout_path=rollouts/rollout_test_0.npz \\
         --data_path=datasets/excavation --output_path=pictures --color_by=error --plane=xz
 
     # two models beside the truth
-    python -m learning_to_simulate.render_rollout --rollout_path=pcg/rollout_test_0.npz \\
+    lts render --rollout_path=pcg/rollout_test_0.npz \\
         --label=pcg --beside=mlp_driven=mlp/rollout_test_0.npz \\
         --data_path=datasets/excavation --output_path=pictures
 
     # for ParaView: open truth.pvd and prediction.pvd of pictures/rollout_test_0_vtk
-    python -m learning_to_simulate.render_rollout --rollout_path=rollouts/rollout_test_0.npz \\
+    lts render --rollout_path=rollouts/rollout_test_0.npz \\
         --data_path=datasets/excavation --output_path=pictures --format=vtp
 
 Needs the extra `viz` (pip install .[viz]), except for --format=vtp. The soil is the solver's own

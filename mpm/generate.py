@@ -1,25 +1,25 @@
 """Simulates runs of a scene and writes them as raw runs.
 
 Examples:
-    python -m mpm.generate --scene=excavation --cases=mini --output_path=/tmp/raw/excavation
-    python -m mpm.generate --scene=wheel --cases=122,slip_0003 --output_path=/tmp/raw/wheel
-    python -m mpm.generate --scene=excavation --cases=full --num_processes=16 --output_path=DIR
+    lts generate --scene=excavation --cases=mini --output_path=/tmp/raw/excavation
+    lts generate --scene=wheel --cases=122,slip_0003 --output_path=/tmp/raw/wheel
+    lts generate --scene=excavation --cases=full --num_processes=16 --output_path=DIR
 
     # paths of an operator (kinds take turns), free drives of the wheel; nobody has seen these seeds
-    python -m mpm.generate --scene=excavation --operator_seeds=9000-9009 --output_path=/tmp/raw/new
-    python -m mpm.generate --scene=excavation --operator_seeds=9000-9005 --kinds=beside,press \\
+    lts generate --scene=excavation --operator_seeds=9000-9009 --output_path=/tmp/raw/new
+    lts generate --scene=excavation --operator_seeds=9000-9005 --kinds=beside,press \\
         --output_path=/tmp/raw/machines
-    python -m mpm.generate --scene=wheel --operator_seeds=9000-9009 --kinds=stops,reverse \\
+    lts generate --scene=wheel --operator_seeds=9000-9009 --kinds=stops,reverse \\
         --output_path=/tmp/raw/new_wheel
 
     # a path of your own: time_s, x_m, y_m, angle_deg (see mpm/motions/recording.py); a tool of your
     # own (see mpm/bodies.py) in a soil of your own
-    python -m mpm.generate --scene=excavation --path=mine.csv --output_path=/tmp/raw/mine
-    python -m mpm.generate --scene=excavation --operator_seeds=0-9 --tool=bucket.json \\
+    lts generate --scene=excavation --path=mine.csv --output_path=/tmp/raw/mine
+    lts generate --scene=excavation --operator_seeds=0-9 --tool=bucket.json \\
         --friction_angle_deg=33 --output_path=/tmp/raw/bucket
 
     # on machines of a cluster, by Dask
-    python -m mpm.generate --scene=wheel --cases=full --cluster=slurm:64 --output_path=/shared/raw
+    lts generate --scene=wheel --cases=full --cluster=slurm:64 --output_path=/shared/raw
 
 A folder belongs to one scene and one packing; kinds that need another bin (beside, tools: twice as
 wide; trench: 2 m long) go into a folder inside, `wide` or `long`. A command that was interrupted

@@ -8,7 +8,7 @@ The larger dataset takes the place of the smaller one at the very end, as a whol
 smaller one is locked, so that of two commands at a time the second is refused.
 
 Examples:
-    python -m pca_tools.append --raw_path=raw/excavation --data_path=datasets/Excavation
+    lts append --raw_path=raw/excavation --data_path=datasets/Excavation
 """
 
 from __future__ import annotations

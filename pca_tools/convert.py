@@ -7,22 +7,22 @@ with one run in memory at a time. Runs whose parameters name a split go there. A
 a folder beside the output, which takes its name at the very end: it is there whole or not at all.
 
 Examples:
-    python -m pca_tools.convert --raw_path=raw/excavation --output_path=datasets/Excavation
+    lts convert --raw_path=raw/excavation --output_path=datasets/Excavation
 
     # 24 modes of hundreds of runs: the subspace from every fourth frame
-    python -m pca_tools.convert --raw_path=raw/driving --output_path=datasets/Driving \\
+    lts convert --raw_path=raw/driving --output_path=datasets/Driving \\
         --num_modes=24 --frame_stride=4
 
     # the published centering, two cases kept for the test split
-    python -m pca_tools.convert --raw_path=raw/wheel --output_path=datasets/Wheel \\
+    lts convert --raw_path=raw/wheel --output_path=datasets/Wheel \\
         --centering=scalar --hold_out=12,47
 
     # files of the raw folder were changed on purpose: let the manifest follow
-    python -m pca_tools.convert --raw_path=raw/own --rehash
+    lts convert --raw_path=raw/own --rehash
 
     # new runs in the subspace of the dataset that a model was trained on; in the test split where
     # they name none
-    python -m pca_tools.convert --raw_path=raw/new --output_path=datasets/New \\
+    lts convert --raw_path=raw/new --output_path=datasets/New \\
         --like=datasets/Excavation
 
 `pca_tools.append` adds runs to a dataset that is there.

@@ -5,14 +5,14 @@ is that of the raw runs, bit for bit. Rollout files (`rollout_*.npz`) are export
 frames and the predicted ones.
 
 Examples:
-    python -m pca_tools.export_data datasets/excavation --format=deepmind --output_path=for_gns
+    lts export-data datasets/excavation --format=deepmind --output_path=for_gns
 
     # the solver's own particles; every fifth
-    python -m pca_tools.export_data datasets/excavation --raw_path=raw/excavation \\
+    lts export-data datasets/excavation --raw_path=raw/excavation \\
         --format=lagrangebench --particle_stride=5 --output_path=for_lagrangebench
 
     # a rollout for ParaView
-    python -m pca_tools.export_data datasets/excavation --rollouts=rollouts --format=vtp \\
+    lts export-data datasets/excavation --rollouts=rollouts --format=vtp \\
         --output_path=paraview
 """
 
@@ -176,5 +176,5 @@ def main(values, arguments: Sequence[str]) -> None:
 
 if __name__ == '__main__':
     define_flags()
-    usage = 'python -m pca_tools.export_data DATASET --format=... --output_path=...'
+    usage = 'lts export-data DATASET --format=... --output_path=...'
     command.start_quietly(main, 1, usage)

@@ -1,4 +1,4 @@
-"""Imports data of other projects as raw runs, which `python -m pca_tools.convert` takes.
+"""Imports data of other projects as raw runs, which `lts convert` takes.
 
 Known are DeepMind's learning_to_simulate, geoelements/gns, LagrangeBench, MPM-NGF, series of VTP
 files, plain npz, and the folders of Subspace-Graph-Physics (which become a dataset at once). The
@@ -6,14 +6,14 @@ format is recognised from the files. Soil and body differ by the particle types:
 or prescribed, all others soil.
 
 Examples:
-    python -m pca_tools.import_data downloads/Sand --output_path=raw/sand --up_axis=1
-    python -m pca_tools.convert --raw_path=raw/sand --output_path=datasets/Sand
+    lts import downloads/Sand --output_path=raw/sand --up_axis=1
+    lts convert --raw_path=raw/sand --output_path=datasets/Sand
 
     # what is this?
-    python -m pca_tools.import_data FOLDER
+    lts import FOLDER
 
     # frames of MPM-NGF do not say their time step; a quarter of full size is scaled up
-    python -m pca_tools.import_data MPM-NGF/output --output_path=raw/ngf --dt=0.0166667 \\
+    lts import MPM-NGF/output --output_path=raw/ngf --dt=0.0166667 \\
         --length_scale=4 --force_scale=64
 """
 
@@ -75,9 +75,7 @@ def import_data(
     )  # fmt: skip
     lines = [f'{output_path}: raw runs of {data.source}; body: {body}, {AXES[up]} up']
     lines += [f'note: {note}' for note in data.notes]
-    lines.append(
-        f'next: python -m pca_tools.convert --raw_path={output_path} --output_path=DATASET'
-    )
+    lines.append(f'next: lts convert --raw_path={output_path} --output_path=DATASET')
     return '\n'.join(lines)
 
 
@@ -162,4 +160,4 @@ def main(values, arguments: Sequence[str]) -> None:
 
 if __name__ == '__main__':
     define_flags()
-    command.start_quietly(main, 1, 'python -m pca_tools.import_data FOLDER --output_path=RAW')
+    command.start_quietly(main, 1, 'lts import FOLDER --output_path=RAW')

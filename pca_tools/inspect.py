@@ -4,8 +4,8 @@ An ERROR means that training or evaluating on the folder would be wrong, and mak
 a WARN names a defect that readers live with (all known defects of the authors' folders are such).
 
 Examples:
-    python -m pca_tools.inspect datasets/Excavation
-    python -m pca_tools.inspect /data/Subspace-Graph-Physics/Excavation_PCA
+    lts inspect datasets/Excavation
+    lts inspect /data/Subspace-Graph-Physics/Excavation_PCA
 """
 
 from __future__ import annotations
@@ -546,4 +546,4 @@ def main(_, arguments: Sequence[str]) -> int:
 
 
 if __name__ == '__main__':
-    command.start_quietly(main, 1, 'python -m pca_tools.inspect DATASET')
+    command.start_quietly(main, 1, 'lts inspect DATASET')

@@ -7,8 +7,8 @@ fitted on thinned frames of the training runs and measured on thinned frames of 
 PCA of the same frames beside it.
 
 Examples:
-    python -m pca_tools.plot_modes datasets/Excavation --output_path=plots
-    python -m pca_tools.plot_modes datasets/Excavation --output_path=plots --raw_path=raw/excavation
+    lts modes datasets/Excavation --output_path=plots
+    lts modes datasets/Excavation --output_path=plots --raw_path=raw/excavation
 """
 
 from __future__ import annotations
@@ -206,4 +206,4 @@ def main(values, arguments: Sequence[str]) -> None:
 
 if __name__ == '__main__':
     define_flags()
-    command.start_quietly(main, 1, 'python -m pca_tools.plot_modes DATASET --output_path=PLOTS')
+    command.start_quietly(main, 1, 'lts modes DATASET --output_path=PLOTS')

@@ -109,7 +109,7 @@ class RawRuns(Sequence):
                     f'{path}: differs from the manifest ({os.path.getsize(path)} bytes, '
                     f'{entry["bytes"]} listed); copy it again from where it is whole, or, if it '
                     'was changed on purpose, let the manifest follow: '
-                    f'python -m pca_tools.convert --rehash --raw_path={self.folder}'
+                    f'lts convert --rehash --raw_path={self.folder}'
                 )
             self._verified.add(index)
         arrays = files.read_npz(path)
@@ -242,7 +242,7 @@ def manifest_faults(manifest: Any) -> list[str]:
         return [*faults, 'lists no runs; let the solver finish at least one']
     wrong = [
         f'a run is listed as {metadata.short(entry)}, not with {sorted(ENTRY_KEYS)}; '
-        '`python -m pca_tools.convert --rehash` fills in what follows from the files'
+        '`lts convert --rehash` fills in what follows from the files'
         for entry in runs
         if not isinstance(entry, dict)
         or ENTRY_KEYS - entry.keys()

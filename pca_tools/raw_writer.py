@@ -34,7 +34,7 @@ def write_raw(
     bodies: Sequence[Mapping[str, Any]] | None = None,
     check_units: bool = True,
 ) -> None:
-    """Writes runs as a folder that `python -m pca_tools.convert --raw_path=FOLDER` takes.
+    """Writes runs as a folder that `lts convert --raw_path=FOLDER` takes.
 
     Args:
         folder: absent or empty; it is there whole or not at all.

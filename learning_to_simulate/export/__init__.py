@@ -1,1 +1,1 @@
-"""Models for elsewhere: SavedModel, LiteRT, ONNX; `python -m learning_to_simulate.export`."""
+"""Models for elsewhere: SavedModel, LiteRT, ONNX; `lts export`."""

@@ -1,23 +1,23 @@
 """Writes a trained model as SavedModel, LiteRT or ONNX, as a C project, an FMU or a page.
 
 Examples:
-  python -m learning_to_simulate.export --model_path=models/excavation/pcg \\
+  lts export --model_path=models/excavation/pcg \\
       --data_path=datasets/excavation --output_path=/tmp/exported
 
   # small runtimes; need the extra: pip install -e .[deploy]
-  python -m learning_to_simulate.export --format=tflite --model_path=... --data_path=... \\
+  lts export --format=tflite --model_path=... --data_path=... \\
       --output_path=...
 
   # C99 source, or an FMU of FMI 2.0; see docs/native.md
-  python -m learning_to_simulate.export --format=c --model_path=models/excavation/pcg \\
+  lts export --format=c --model_path=models/excavation/pcg \\
       --data_path=datasets/excavation --output_path=/tmp/soil
 
   # an FMU of two blades on one terrain
-  python -m learning_to_simulate.export --format=fmu --n_tools=2 --output_path=/tmp/blades \\
+  lts export --format=fmu --n_tools=2 --output_path=/tmp/blades \\
       --model_path=models/excavation/soil_field --data_path=datasets/excavation
 
   # one HTML file with a soil field inside, which needs no server; a recorded run beside is optional
-  python -m learning_to_simulate.export --format=page --model_path=excavation \\
+  lts export --format=page --model_path=excavation \\
       --data_path=datasets/excavation --output_path=blade.html
 """
 

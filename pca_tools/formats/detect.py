@@ -17,9 +17,8 @@ FORMATS: dict[str, ModuleType] = {
 # Folders that need no import: what they are and what to do with them.
 RAW, DATASET, AUTHORS = 'raw', 'dataset', 'authors'
 _NO_IMPORT = {
-    RAW: 'these are raw runs already: python -m pca_tools.convert --raw_path={} '
-    '--output_path=DATASET',
-    DATASET: 'this is a dataset of this project already: python -m pca_tools.inspect {}',
+    RAW: 'these are raw runs already: lts convert --raw_path={} --output_path=DATASET',
+    DATASET: 'this is a dataset of this project already: lts inspect {}',
     AUTHORS: 'this is a dataset of Subspace-Graph-Physics: it is read as it is '
     '(learning_to_simulate.train --data_path={}); importing it adds scene, keys and manifest',
 }
@@ -78,6 +77,5 @@ def explain(kind: str, folder: str) -> str:
     if kind in _NO_IMPORT:
         return f'{folder}: ' + _NO_IMPORT[kind].format(folder)
     return (
-        f'{folder}: this is {FORMATS[kind].TITLE}; to use it: python -m pca_tools.import_data '
-        f'{folder} --output_path=RAW'
+        f'{folder}: this is {FORMATS[kind].TITLE}; to use it: lts import {folder} --output_path=RAW'
     )

@@ -4,6 +4,7 @@ import os
 
 import numpy as np
 
+from pca_tools import files
 from reports import markdown
 from reports.protocol import judge
 
@@ -90,6 +91,16 @@ def in_short(blade: str, wheel: str) -> str:
         f"{figure(of_blade['soil_mm']):.1f} mm; a wheel's drawbar by {drawbar:.0f} % (median), its "
         f'soil by {figure(of_wheel["soil_mm"]):.1f} mm.'
     )
+
+
+def new_tools(*paths: str) -> str:
+    """What `lts new-tool` said last of some tools, by the state files of their folders."""
+    rows = [
+        (f'{made["asked"]["tool"]["name"]}, {100 * made["asked"]["tool"]["width"]:g} cm wide',
+         str(made['asked']['runs']), made['verdict'])
+        for made in map(files.read_json, paths)
+    ]  # fmt: skip
+    return markdown.table(['tool', 'runs', 'said'], rows)
 
 
 def kinds(path: str, name: str = 'soil field') -> str:

@@ -245,13 +245,16 @@ def test_both_layouts_and_other_writings_of_geoelements(tmp_path):
 
 def test_folders_are_named_wherever_they_are_met(exports, excavation, raw_excavation, tmp_path):
     for name in ('deepmind', 'geoelements', 'lagrangebench', 'mpm_ngf'):
-        text = f'this is {detect.FORMATS[name].TITLE}; to use it: python -m pca_tools.import_data'
+        text = f'this is {detect.FORMATS[name].TITLE}; to use it: lts import'
         with pytest.raises((ValueError, FileNotFoundError), match='`lts import .* says what'):
             dataset.read_metadata(str(exports(name)))
         assert text in explain(str(exports(name)))
     done = run_command('pca_tools.import_data', str(exports('mpm_ngf')))
     assert done.returncode == 0 and done.stdout.endswith('--output_path=RAW --dt=SECONDS\n')
-    for folder, text in ((raw_excavation, 'raw runs already'), (excavation, 'already: python -m')):
+    for folder, text in (
+        (raw_excavation, 'raw runs already'),
+        (excavation, 'already: lts inspect'),
+    ):
         with pytest.raises(ValueError, match=text):
             import_data(folder, str(tmp_path / 'out'))
     for names, text in (
