@@ -59,7 +59,7 @@ def main(film=None, seconds: float = 2 * PERIOD - 0.4):
     add_height_field(spec, ground)
     m = spec.compile()
     d = mujoco.MjData(m)
-    bucket = lts.Blade(width=0.4, length=0.28, bucket=1, plates=1)
+    bucket = lts.Blade(width=0.4, radius=0.004, length=0.28, bucket=1, plates=1)
     live = lts.load('excavation/soil_field').stepper(ground, bucket)
     soil = MujocoSoil(m, d, {'edge': live})
     times, places = path()

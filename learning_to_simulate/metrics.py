@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH
+
 
 def soil_mse(position, truth, n_rigid: int, n_soil: int):
     """Mean squared error of the N soil particles within the subspace, float64 [S], m²: sum of
@@ -88,6 +90,13 @@ def constant_velocity(history, n_frame: int):
     """Trivial predictor: the displacement of the last input frame goes on, [S, n_frame, V, D]."""
     step = history[:, -1:] - history[:, -2:-1]
     return history[:, -1:] + step * np.arange(1, n_frame + 1)[None, :, None, None]
+
+
+def soil_mm(points, truth, stride: int) -> float:
+    """Error of particles [F, P, 3] (m), of which every `stride` frames were kept, from the frame on
+    from which errors count, mm per coordinate."""
+    late = slice(-(-INPUT_SEQUENCE_LENGTH // stride), None)
+    return float(rms_mm(np.mean((np.asarray(points, np.float64)[late] - truth[late]) ** 2)))
 
 
 def rms_mm(mse):

@@ -22,8 +22,8 @@ from learning_to_simulate.soil_field import field as soil_field
 # Status of what leaves its range, by its name; of all other numbers it is LTS_OUTSIDE_POSE.
 _BITS = {
     'LTS_OUTSIDE_CONTEXT': (
-        'half_width', 'friction', 'radius', 'length', 'bucket', 'plates', 'lugs', 'lug_height',
-        'stress',
+        'half_width', 'friction', 'radius', 'length', 'bucket', 'plates', 'edge', 'lugs',
+        'lug_height', 'stress',
     ),
     'LTS_OUTSIDE_START': (
         'bed_low', 'bed_high', 'uneven', 'wall', 'beyond_map', 'thin_soil', 'other_tool', 'cell'
@@ -67,6 +67,7 @@ def values(field) -> dict:
         'across': strips.ACROSS,
         'taught_widths': tools.Blade.taught_widths,
         'rim': tools.Wheel.RIM,
+        'bucket_edge': tools.BUCKET_EDGE,
         'lean_length': tools.LEAN,
         'standard_density': tools.STANDARD_DENSITY,
         'standard_gravity': tools.STANDARD_GRAVITY,

@@ -142,12 +142,9 @@ def _errors(arrays):
     share = float(metrics.force_errors(*both)['force_relative_l2'][0])
     text = f'force off by {100 * share:.0f} %' if np.isfinite(share) else ''
     if 'predicted_particles' in arrays and 'ground_truth_particles' in arrays:
-        late = np.asarray(arrays['height_frames']) >= INPUT_SEQUENCE_LENGTH
-        found, truth = (
-            np.asarray(arrays[f'{name}_particles'], np.float64)[late]
-            for name in ('predicted', 'ground_truth')
-        )
-        text += f', soil by {metrics.rms_mm(np.mean((found - truth) ** 2)):.2g} mm'
+        both = (arrays[f'{name}_particles'] for name in ('predicted', 'ground_truth'))
+        stride = int(arrays['height_frames'][1] - arrays['height_frames'][0])
+        text += f', soil by {metrics.soil_mm(*both, stride):.2g} mm'
     return f'\n{text}' if text else ''
 
 

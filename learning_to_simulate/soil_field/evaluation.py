@@ -266,8 +266,7 @@ def soil_errors(run: Run, points) -> dict[str, float]:
     """The error of particles [F, P, 3] (m) of the frames of a run that have them; {} without."""
     if points is None or run.particles is None:
         return {}
-    late = slice(-(-H // run.stride), None)
-    return {'soil_mm': _rms_mm(np.asarray(points, np.float64)[late] - run.particles[late])}
+    return {'soil_mm': metrics.soil_mm(points, run.particles, run.stride)}
 
 
 def _rms_mm(values) -> float:

@@ -62,11 +62,9 @@ def make_field(
     return SoilField(config, networks)
 
 
-def parts_of(
-    field: SoilField, runs: list[Run], progress=iter, only=tuple(network.HIDDEN)
-) -> dict[str, list]:
-    """Name of a network -> samples of runs, `pooled`; the field learns their ranges. `only` are the
-    networks that are asked for.
+def parts_of(field: SoilField, runs: list[Run], progress=iter) -> dict[str, list]:
+    """Name of a network -> samples of runs, joined where they have one shape: loads of uneven
+    terrain have five strips, of even terrain one. The field learns their ranges.
 
     Raises:
       ValueError: no runs.
@@ -74,7 +72,12 @@ def parts_of(
     if not runs:
         raise ValueError('no runs to learn from')
     networks = field.networks
-    values, found = [], []
+    values: list = []
+    pools: dict[str, dict] = {name: {} for name in network.HIDDEN}
+
+    def add(name, part):
+        pools[name].setdefault(part.inputs[0].shape[1:], []).append(part)
+
     for number, run in enumerate(progress(runs)):
         rng = np.random.Generator(
             np.random.Philox(key=field.config.seed, counter=[0, 0, 9, number])
@@ -84,26 +87,15 @@ def parts_of(
         motion = samples.motion_of(whole)
         for start in samples.starts_of(run):
             episode = samples.episode_of(run, start) if start else whole
-            if 'load' in only:
-                found.append(('load', samples.load_part(networks, run, episode)))
-            if 'surface' in only:
-                found.append(('surface', samples.surface_part(networks, episode, motion, rng)))
-        if 'soil' in only and run.particles is not None:
-            found.append(('soil', samples.soil_part(networks, run, rng)))
+            add('load', samples.load_part(networks, run, episode))
+            add('surface', samples.surface_part(networks, episode, motion, rng))
+        if run.particles is not None:
+            add('soil', samples.soil_part(networks, run, rng))
     seen = np.concatenate(values)
     lows, highs = seen.min(axis=0).tolist(), seen.max(axis=0).tolist()
     for name, low, high in zip(field.judged_names, lows, highs, strict=True):
         if name not in CONDITIONS:
             field.ranges[name] = [low, high]
-    return dict.fromkeys(only, []) | pooled(found)
-
-
-def pooled(parts) -> dict[str, list]:
-    """Name of a network -> samples, joined where they have one shape (loads of uneven terrain have
-    five strips, of even terrain one), of names and `samples.Part`."""
-    pools: dict[str, dict] = {}
-    for name, part in parts:
-        pools.setdefault(name, {}).setdefault(part.inputs[0].shape[1:], []).append(part)
     return {name: [_joined(some) for some in pool.values()] for name, pool in pools.items()}
 
 

@@ -292,3 +292,20 @@ def test_ground_that_is_hardly_rough_counts_as_flat():
         status[rough] = {f.now.status for f in frames[60:]}, frames[-1].judgement.reason
     assert status[3e-4][0] == {'ok'}, status
     assert status[3e-3][0] == {'extrapolating'} and 'bed_' in status[3e-3][1]
+
+
+@pytest.mark.parametrize(
+    'blade, is_known',
+    [
+        (lts.Blade(0.4), True), (lts.Blade(0.33, radius=0.01, length=0.3), False),
+        (lts.Blade(0.4, radius=0.004, bucket=1.0), True), (lts.Blade(0.4, bucket=1.0), False),
+    ],
+)  # fmt: skip
+def test_edges_between_those_of_plates_and_of_buckets_are_flagged(blade, is_known):
+    """Where none was taught: the force on a plate with an edge of 10 mm is off by half."""
+    for engine in ('c', 'tensorflow'):
+        tool = model('excavation').stepper(ground(), blade, engine=engine)
+        path = poses(way('excavation', 40))
+        frames = [tool.start(path[0])] + [tool.step(pose, 0.1) for pose in path[1:]]
+        assert (frames[-1].now.status == 'ok') == is_known
+        assert is_known or all(f.now.reason.startswith('edge ') for f in frames)

@@ -54,7 +54,7 @@ struct lts_soil_model {
   int32_t n_column, n_beside;
   double beside_width, across[5]; /* across: where a strip is read, in its widths */
   /* Tool and soil, see `tools.py`. */
-  double taught_widths[2], rim, lean_length, standard_density, standard_gravity;
+  double taught_widths[2], rim, bucket_edge, lean_length, standard_density, standard_gravity;
   /* Passage. */
   double ahead, below_tool, even, max_step, set_down, factor[2]; /* factor: of (20) */
   double lifted, under, turned_back, strikes; /* m over the soil; under a tool along the way; behind its foremost

@@ -130,7 +130,8 @@ static void fit_tool(lts_soil *soil) {
   const double s = soil->scale = scale_of(m, t), degree = 3.14159265358979323846 / 180.0;
   const double friction = tan(ground->friction_angle_deg * degree);
   const double weight = ground->density * ground->gravity / (m->standard_density * m->standard_gravity);
-  const double blade[] = {t->width / 2.0 / s, friction, t->radius / s, t->length / s, t->bucket, t->plates};
+  const double edge = t->radius / s + m->bucket_edge * t->bucket;
+  const double blade[] = {t->width / 2.0 / s, friction, t->radius / s, t->length / s, t->bucket, t->plates, edge};
   const double wheel[] = {t->width / 2.0 / s, friction, m->rim, t->lugs, t->lug_height / s, log(weight * s)};
   for (int i = 0; i < m->n_own; ++i) {
     soil->own[i] = (float)(m->kind == LTS_SOIL_WHEEL ? wheel : blade)[i];
