@@ -23,6 +23,7 @@ part by part in this order, so that what teaches most is there first:
     wheels            40 wheels of other sizes
     grousers          30 wheels with grousers
     wheel_brief       300 short drives, each with a wheel and soil of its own
+    wheel_rut         40 short drives over the rut of an earlier pass, likewise
     wheel_grid        40 of the 243 published cases
 
 Any beginning of a part holds kinds and splits in proportion. A command that was interrupted,
@@ -65,6 +66,7 @@ PARTS = {
     'wheels': (scenes.WHEEL, ('wheels',)),
     'grousers': (scenes.WHEEL, ('grousers',)),
     'wheel_brief': (scenes.WHEEL, ('brief',)),
+    'wheel_rut': (scenes.WHEEL, ('rut',)),
     'wheel_grid': (scenes.WHEEL, ()),
 }
 DIGESTS = 'digests.json'

@@ -30,6 +30,7 @@ RUNS = {
         'wheels': 40,
         'grousers': 30,
         'brief': 300,
+        'rut': 40,
     },
 }
 TEST, VALID = 10, 5  # runs of each kind

@@ -16,6 +16,8 @@ wheels: any of the first four, with a wheel of another radius and width, in soil
 grousers: as slip, with a wheel that has grousers.
 brief: `BRIEF` frames of wheels, grousers or height, with a wheel and soil of its own: what differs
     from wheel to wheel and soil to soil teaches more than a longer drive of one.
+rut: `BRIEF` frames in, out of or across the rut of an earlier pass (a lead-in, as of `disturbed` in
+    `operator_paths`) of the same wheel, with a wheel and soil of its own, at a given height.
 """
 
 import numpy as np
@@ -26,7 +28,8 @@ from mpm.motions.drive import Drive, poses
 from mpm.motions.levels import Levels, Track
 
 TURNS = ('slip', 'stops', 'reverse', 'load')  # of seeds, if no kind is named
-KINDS = (*TURNS, 'height', 'wheels', 'grousers', 'brief')
+KINDS = (*TURNS, 'height', 'wheels', 'grousers', 'brief', 'rut')
+OWN = ('wheels', 'grousers', 'brief', 'rut')  # kinds that draw a wheel and a soil
 BRIEF = 100  # frames
 MAX_RIM_SPEED = 0.04  # m/s; the grid of cases has 0.0195
 SLIPS = (-0.1, 0.9)
@@ -35,7 +38,12 @@ RADII, WIDTHS, FRICTION_DEG = (0.03, 0.15), (0.05, 0.125), (28.0, 43.0)  # m, m,
 GROUSERS = {'count': (8, 25), 'height': (0.005, 0.015), 'thickness': (0.005, 0.009)}
 PRESSURE = (3.0e3, 12.0e3)  # Pa, load over diameter and width, of drawn wheels on the Earth
 SINKAGE = (-0.1, 0.12)  # of the radius, of a wheel at a given height
-DEEPEST = 0.012  # m
+# m, below and above where it touches the soil: at most, and at first.
+DEEPEST, HIGHEST, ABOVE = 0.012, 0.01, 0.004
+# Of a rut: depth, of the radius and at most, m; speed (m/s) and slip of the pass that leaves it;
+# its way, m; how far back the wheel is set down, of that way; height of its way back, m.
+RUTS, DEEPEST_RUT, RUT_SPEED, RUT_SLIPS = (0.02, 0.12), 0.008, 0.1, (-0.05, 0.5)
+RUT_WAYS, RUT_BACK, RUT_UP, LIFT = (0.05, 0.12), (0.1, 1.1), 0.002, 0.03
 _SMALL = 0.1  # m, diameter
 _MOON = 2.0  # m/s2
 
@@ -71,9 +79,9 @@ def free_drive(
     while context['diameter_m'] < _SMALL and context['gravity_m_s2'] < _MOON:
         context = _draw_context(rng, scene)
     load = scenes.wheel_load(context)
-    if kind in ('wheels', 'grousers', 'brief') or tool is not None:
+    if kind in OWN or tool is not None:
         tool = tool or _draw_wheel(
-            rng, kind == 'grousers' or kind == 'brief' and rng.random() < 0.4
+            rng, kind == 'grousers' or kind in ('brief', 'rut') and rng.random() < 0.4
         )
         context['diameter_m'] = round(2.0 * tool['radius'], 6)
         context['friction_angle_deg'] = round(rng.uniform(*FRICTION_DEG), 2)
@@ -112,24 +120,32 @@ def _draw_wheel(rng, has_grousers) -> dict:
 
 
 def _draw(rng, scene, kind, wheel, mean_load, context) -> tuple[Drive, dict]:
-    box, story = scene.bin, _Story(rng, 0.02 if kind == 'brief' else 0.005)
-    seconds = BRIEF / scenes.FRAME_RATE if kind == 'brief' else scenes.DURATION
+    is_short = kind in ('brief', 'rut')
+    box, story = scene.bin, _Story(rng, 0.02 if is_short else 0.005)
+    seconds = BRIEF / scenes.FRAME_RATE if is_short else scenes.DURATION
     frames = round(seconds * scenes.FRAME_RATE)
     start_x = grid.WHEEL_START_X - rng.choice([0.0, rng.uniform(0.0, 0.06)])
-    plot, at_height = kind, kind == 'height'
+    plot, at_height = kind, kind in ('height', 'rut')
     if kind == 'brief':
         plot, at_height = str(rng.choice(('slip', 'load'))), rng.random() < 0.5
     elif kind == 'wheels':
         plot = str(rng.choice(TURNS))
-    elif at_height:
+    elif kind == 'height':
         plot = 'reverse' if rng.random() < 0.4 else 'slip'
-    {'stops': _stops, 'reverse': _reverse}.get(plot, _slip)(rng, story, seconds)
+    base, before = box.surface + wheel.reach, Levels([-1.0, 0.0], [0.0, 0.0])
+    if kind == 'rut':
+        plot = 'back' if rng.random() < 0.25 else 'slip'
+        base, before = _leave_a_rut(rng, story, wheel, base, plot == 'back')
+    begin = story.time
+    {'stops': _stops, 'reverse': _reverse, 'back': _back}.get(plot, _slip)(
+        rng, story, begin + seconds
+    )
     rim, travel = story.levels('rim'), story.levels('travel')
-    shown = np.linspace(0.0, seconds, frames + 1)
+    shown = begin + np.linspace(0.0, seconds, frames + 1)
     parameters = {'plot': plot, 'rim_speed_max_m_s': round(float(np.abs(rim(shown)).max()), 6)}
     machine, height = None, None
     if at_height:
-        height = _bobbing(rng, box, wheel, seconds)
+        height = _bobbing(rng, base, wheel, seconds, RUT_UP if kind == 'rut' else HIGHEST)
     else:
         factors, times = np.ones(2), np.array([0.0, seconds])
         if plot == 'load':
@@ -147,37 +163,70 @@ def _draw(rng, scene, kind, wheel, mean_load, context) -> tuple[Drive, dict]:
 
     def pose(times):
         x = start_x - travel.integral(times)
-        y = 0.0 if height is None else height(times)
+        y = 0.0 if height is None else np.where(times < begin, before(times), height(times - begin))
         turn = rim.integral(times) / wheel.radius
         return poses(times, x, y, turn, box.z_middle)
 
     rest = 0 if machine is None else grid.REST_FRAMES
-    if kind == 'brief':
+    if is_short:
         parameters['frames'] = frames
-    return Drive(wheel, pose, machine, rest=rest), parameters
+    lead_in = round(begin * scenes.FRAME_RATE)
+    if lead_in:
+        parameters['lead_in_frames'] = lead_in
+    return Drive(wheel, pose, machine, lead_in, rest), parameters
 
 
-def _bobbing(rng, box, wheel, seconds) -> Levels:
-    """Height of the axle over time, from above the soil down and up and down again."""
-    base = box.surface + wheel.reach
+def _leave_a_rut(rng, story, wheel, base, stays) -> tuple[float, Levels]:
+    """Adds a pass that leaves a rut, and a way back in the air unless it `stays`; about where the
+    wheel will touch the soil again (m), and the height of the axle until it is over that."""
+    depth = min(rng.uniform(*RUTS) * wheel.radius, DEEPEST_RUT)
+    way, slip = rng.uniform(*RUT_WAYS), rng.uniform(*RUT_SLIPS)
+    up, down = base + LIFT, base - depth
+    times, heights = [0.0, 0.2], [base + 0.002, down]
+    story.add(0.2)
+    for rim in (RUT_SPEED / (1.0 - slip),) * 2 + (0.0,):
+        story.go(max(way / RUT_SPEED - 0.2, 0.1) if story.last('rim') == rim else 0.2, rim, slip)
+        times.append(story.time)
+        heights.append(base - min(rng.uniform(0.7, 1.3) * depth, DEEPEST_RUT))
+    story.add(0.2)
+    times.append(story.time)
+    heights.append(up)
+    back = 0.0 if stays else rng.uniform(*RUT_BACK) * way
+    for speed in (-back / 0.3, 0.0):
+        story.add(0.3, travel=speed)
+    # To the beginning of a frame, and over the soil again.
+    story.add(0.2 - (story.time * scenes.FRAME_RATE % 1.0 - 1.0) / scenes.FRAME_RATE)
+    times += [story.time - 0.2, story.time]
+    again = base - rng.uniform(0.3, 1.0) * depth
+    return again, Levels(times, [*heights, up, again + ABOVE])
+
+
+def _bobbing(rng, base, wheel, seconds, up) -> Levels:
+    """Height of the axle over time, from above the soil (which it touches at the height `base`)
+    down, and up by at most `up`, and down again."""
 
     def sinkage():
         return min(rng.uniform(*SINKAGE) * wheel.radius, DEEPEST)
 
-    times, heights = [0.0, 0.1], [base + 0.004] * 2
+    times, heights = [0.0, 0.1], [base + ABOVE] * 2
     times.append(rng.uniform(0.5, 1.2) * min(seconds / 3.0, 1.0))
     heights.append(base - min(abs(sinkage()), DEEPEST))
     while times[-1] < seconds:
         times.append(times[-1] + rng.uniform(0.15, 1.2))
         step = rng.uniform(-0.004, 0.004) if rng.random() < 0.6 else None
         height = heights[-1] + step if step is not None else base - sinkage()
-        heights.append(float(np.clip(height, base - DEEPEST, base + 0.01)))
+        heights.append(float(np.clip(height, base - DEEPEST, base + up)))
     return Levels(times, heights)
 
 
 def _slip(rng, story, seconds) -> None:
     while story.time < seconds:
         story.roll(rng.uniform(0.5, 1.5) * min(seconds / 3.0, 1.0))
+
+
+def _back(rng, story, seconds) -> None:
+    while story.time < seconds:
+        story.roll(rng.uniform(0.5, 1.5), -1.0)
 
 
 def _stops(rng, story, seconds) -> None:
