@@ -19,6 +19,7 @@ it is pressed down by the load of w_0 less M a, with a its acceleration up under
 """
 
 import contextlib
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -27,7 +28,7 @@ import numpy as np
 
 from learning_to_simulate.live.poses import turned
 from learning_to_simulate.rollout_status import OK, Judgement, RolloutStatus, worse
-from learning_to_simulate.soil_field.engine import SoilFrame, refuse_step
+from learning_to_simulate.soil_field.engine import FASTEST, FASTEST_TURN, SoilFrame, refuse_step
 from learning_to_simulate.soil_field.loaded import Damping
 from learning_to_simulate.soil_field.place import UP
 from learning_to_simulate.soil_field.stepper import DT, SoilStepper
@@ -118,6 +119,8 @@ class MujocoSoil:
         self._check_time()
         self._spots = [self._spot(name) for name in self._names]
         self._bodies = [body for _, _, body in self._spots]
+        self._scale = np.tile(ARM, len(tools))
+        self._radii = np.array([stepper.tool.radius for stepper in self._steppers])
         self.frames: dict[str, SoilFrame] = {}
         self.wrenches = np.zeros((len(tools), 6))
         self.rounds, self.gap = 0, 0.0
@@ -144,15 +147,17 @@ class MujocoSoil:
         known = [m.site(i).name for i in range(m.nsite)] + [m.body(i).name for i in range(m.nbody)]
         raise ValueError(f'no site or body {name!r}; there are {", ".join(filter(None, known))}')
 
-    def _pose(self, spot):
-        """Pose [7] of a tool, axes of this project, from the kinematics in `data`."""
-        is_site, number, _ = spot
-        if is_site:
-            place, quaternion = self._data.site_xpos[number], np.empty(4)
-            mujoco.mju_mat2Quat(quaternion, self._data.site_xmat[number])
-        else:
-            place, quaternion = self._data.xpos[number], self._data.xquat[number]
-        return np.concatenate([place @ TO_Z_UP, quaternion[:1], quaternion[1:] @ TO_Z_UP])
+    def _poses(self):
+        """Poses [n, 7] of the tools, axes of this project, from the kinematics in `data`."""
+        d, found = self._data, np.empty((len(self._spots), 7))
+        for row, (is_site, number, _) in zip(found, self._spots, strict=True):
+            if is_site:
+                row[:3] = d.site_xpos[number]
+                mujoco.mju_mat2Quat(row[3:], d.site_xmat[number])
+            else:
+                row[:3], row[3:] = d.xpos[number], d.xquat[number]
+        found[:, :3], found[:, 4:] = found[:, :3] @ TO_Z_UP, found[:, 4:] @ TO_Z_UP
+        return found
 
     def start(self) -> dict[str, SoilFrame]:
         """Sets the tools down where they are in `data`; loads of an earlier run leave it.
@@ -165,9 +170,9 @@ class MujocoSoil:
         self._slopes = [None] * len(self._names)
         self._damping = [Damping() for _ in self._names]
         found = {}
-        for name, stepper, spot in zip(self._names, self._steppers, self._spots, strict=True):
+        for name, stepper, pose in zip(self._names, self._steppers, self._poses(), strict=True):
             with _naming(name):
-                found[name] = stepper.start(self._pose(spot))
+                found[name] = stepper.start(pose)
         self.frames = found
         self._loads = np.stack([_load(frame) for frame in found.values()])
         return found
@@ -200,22 +205,23 @@ class MujocoSoil:
         try:
             mujoco.mj_kinematics(m, d)
             mujoco.mj_comPos(m, d)
-            levers = [self._lever(spot) for spot in self._spots]
+            levers = self._levers()
             loads, damped = self._loads, np.zeros(len(self._names))
             if self._implicit:
                 loads, damped = self._solved(state, levers, dt)
             self._apply(_about_centres(loads, levers))
             mujoco.mj_step(m, d)
             mujoco.mj_kinematics(m, d)
-            poses = [self._pose(spot) for spot in self._spots]
-            tools = list(zip(self._names, self._steppers, poses, strict=True))
-            airy = [self._flies(*tool, dt) for tool in tools]
+            poses = self._poses()
+            airy = self._fly(poses, dt)
         except ValueError:
             mujoco.mj_setState(m, d, state, _STATE)
             self.wrenches = wrenches
             mujoco.mj_forward(m, d)
             raise
-        for j, ((name, stepper, pose), flies) in enumerate(zip(tools, airy, strict=True)):
+        for j, (name, stepper, pose, flies) in enumerate(
+            zip(self._names, self._steppers, poses, airy, strict=True)
+        ):
             rate = (pose[1] - stepper.frame.pose[1]) / dt
             frame = stepper.start(pose) if flies else stepper.step(pose, dt)
             self._damping[j].go_on(frame.force[1], rate, dt)
@@ -223,11 +229,13 @@ class MujocoSoil:
         self._loads = loads if self._implicit else np.stack([*map(_load, self.frames.values())])
         return self.frames
 
-    def _lever(self, spot):
-        """From the centre of mass of the body to the tool, Z up."""
-        is_site, number, body = spot
-        place = self._data.site_xpos[number] if is_site else self._data.xpos[number]
-        return place - self._data.xipos[body]
+    def _levers(self):
+        """[n, 3]: from the centre of mass of the body to the tool, Z up."""
+        d = self._data
+        return np.array([
+            (d.site_xpos if is_site else d.xpos)[number] - d.xipos[body]
+            for is_site, number, body in self._spots
+        ])  # fmt: skip
 
     def _apply(self, wrenches):
         """Puts loads in the place of those of the step before; the user's own stay."""
@@ -235,8 +243,20 @@ class MujocoSoil:
         np.add.at(self._data.xfrc_applied, self._bodies, wrenches)
         self.wrenches = wrenches
 
+    def _fly(self, poses, dt):
+        """Which of the tools [n] go farther than a step allows, in the air; ValueError where one
+        does so in soil."""
+        last = np.array([stepper.frame.pose for stepper in self._steppers])
+        ways = np.sqrt(np.square(poses[:, :3] - last[:, :3]).sum(axis=1))
+        # Of unit quaternions: their distance is the half angle for small turns.
+        turns = np.sqrt(2.0 - 2.0 * np.minimum(np.abs((poses[:, 3:] * last[:, 3:]).sum(axis=1)), 1))
+        slow = np.maximum(ways / FASTEST, 2.0 * turns / FASTEST_TURN) < 0.9 * dt
+        if slow.all() and (poses[:, 1] - self._radii > self.terrain.floor).all():
+            return [False] * len(poses)  # as `refuse_step` says of each, in ten times as long
+        tools = zip(self._names, self._steppers, poses, strict=True)
+        return [self._flies(*tool, dt) for tool in tools]
+
     def _flies(self, name, stepper, pose, dt):
-        """Whether a pose is too far for a step, in the air; ValueError where it is in soil."""
         with _naming(name):
             try:
                 refuse_step(pose, stepper.frame.pose, dt, stepper.tool, stepper.terrain)
@@ -264,17 +284,16 @@ class MujocoSoil:
         self._apply(_about_centres(self._loads, levers))
         mujoco.mj_step(m, d)
         # Jacobians and inertia in `data` are still those of the begin of the step.
-        jacobian, axes = np.zeros((2, 3, m.nv)), []
-        whole, inner = np.zeros((n, 6, m.nv)), np.zeros((n, 3, m.nv))
-        for j, ((is_site, number, _), stepper) in enumerate(
-            zip(self._spots, self._steppers, strict=True)
-        ):
+        jacobians = np.empty((n, 2, 3, m.nv))
+        for jacobian, (is_site, number, _) in zip(jacobians, self._spots, strict=True):
             call = mujoco.mj_jacSite if is_site else mujoco.mj_jacBody
             call(m, d, *jacobian, number)
-            whole[j] = np.concatenate([TO_Z_UP.T @ part for part in jacobian])
-            place = stepper.place
-            axes.append(np.stack([place.along, UP, place.across]))
-            inner[j] = [place.along @ whole[j, :3], whole[j, 1], place.across @ whole[j, 3:]]
+        whole = (TO_Z_UP.T @ jacobians).reshape(n, 6, m.nv)
+        places = [stepper.place for stepper in self._steppers]
+        axes = np.array([[place.along, UP, place.across] for place in places])
+        inner = np.concatenate(
+            [axes[:, :1] @ whole[:, :3], whole[:, 1:2], axes[:, 2:] @ whole[:, 3:]], axis=1
+        )
         answer = np.zeros((6 * n, m.nv))
         mujoco.mj_solveM(m, d, answer, whole.reshape(6 * n, m.nv))
         give = dt * dt * inner.reshape(3 * n, m.nv) @ answer.T
@@ -282,19 +301,19 @@ class MujocoSoil:
         mujoco.mj_kinematics(m, d)
         far = max(1.0, DT / dt)
         last = [stepper.frame.pose for stepper in self._steppers]
-        reached = [self._pose(spot) for spot in self._spots]
+        reached = self._poses()
         poses = [_ahead(*two, far) for two in zip(last, reached, strict=True)]
-        rises = [b[1] - a[1] for a, b in zip(last, reached, strict=True)]
+        rises = [float(b[1] - a[1]) for a, b in zip(last, reached, strict=True)]
         mujoco.mj_setState(m, d, state, _STATE)
         self.wrenches = wrenches  # as `data` has them again
 
         def loads_at(s):
-            return np.stack([
-                self._proposed(j, _moved(poses[j], axes[j], far * s[3 * j : 3 * j + 3]))
-                for j in range(n)
+            ways = far * s.reshape(n, 3)
+            return np.array([
+                self._proposed(j, _moved(poses[j], axes[j], ways[j])) for j in range(n)
             ])  # fmt: skip
 
-        before, scale = self._loads.ravel(), np.tile(ARM, n)
+        before, scale = self._loads.ravel(), self._scale
 
         def damped(s, loads):
             return np.array([
@@ -390,7 +409,7 @@ class MujocoSoil:
         stepper = self._steppers[j]
         with _naming(self._names[j]):
             try:
-                return _load(stepper.propose(pose, DT))
+                return stepper.load(pose, DT)
             except ValueError:
                 if not self._is_clear(stepper, pose):
                     raise
@@ -439,11 +458,12 @@ def _load(frame):
 
 def _about_centres(loads, levers):
     """Loads [n, 6] about the tools as wrenches about centres of mass, Z up."""
-    found = np.empty((len(loads), 6))
-    found[:, :3], found[:, 3:] = loads[:, :3] @ TO_Z_UP.T, loads[:, 3:] @ TO_Z_UP.T
-    for row, (x, y, z) in zip(found, levers, strict=True):
-        fx, fy, fz = row[:3]  # np.cross takes ten times as long
-        row[3:] += y * fz - z * fy, z * fx - x * fz, x * fy - y * fx
+    found = np.concatenate([loads[:, :3] @ TO_Z_UP.T, loads[:, 3:] @ TO_Z_UP.T], axis=1)
+    x, y, z = levers.T
+    fx, fy, fz = found[:, :3].T  # np.cross takes five times as long
+    found[:, 3] += y * fz - z * fy
+    found[:, 4] += z * fx - x * fz
+    found[:, 5] += x * fy - y * fx
     return found
 
 
@@ -451,9 +471,9 @@ def _moved(pose, axes, s):
     """A pose [7] after s [3] along, up (m) and in lean (rad)."""
     if not s.any():
         return pose
-    found = np.array(pose)
-    found[:3] += s[0] * axes[0] + s[1] * axes[1]
-    found[3:] = turned(found[3:], s[2] * axes[2])
+    found = np.empty(7)
+    found[:3] = pose[:3] + s[:2] @ axes[:2]
+    found[3:] = turned(pose[3:].tolist(), s[2] * axes[2])
     return found
 
 
@@ -461,16 +481,17 @@ def _ahead(last, pose, far):
     """Where a tool that goes from one pose to another will be after so many times the way."""
     if far == 1.0:
         return pose
-    w, x, y, z = last[3:]
-    a, b, c, d = pose[3:]
-    turn = np.array([
-        w * b - x * a + y * d - z * c, w * c - y * a + z * b - x * d, w * d - z * a + x * c - y * b
-    ])  # fmt: skip
+    w, x, y, z = last[3:].tolist()  # numbers: arrays take five times as long
+    quaternion = a, b, c, d = pose[3:].tolist()
     # Turns within a step are small: twice the sine of the half angle is the angle.
-    turn *= 2.0 * np.sign(w * a + x * b + y * c + z * d)
+    share = 2.0 * (far - 1.0) * math.copysign(1.0, w * a + x * b + y * c + z * d)
+    turn = (
+        share * (w * b - x * a + y * d - z * c), share * (w * c - y * a + z * b - x * d),
+        share * (w * d - z * a + x * c - y * b),
+    )  # fmt: skip
     found = np.empty(7)
     found[:3] = pose[:3] + (far - 1.0) * (pose[:3] - last[:3])
-    found[3:] = turned(pose[3:], (far - 1.0) * turn)
+    found[3:] = turned(quaternion, turn)
     return found
 
 

@@ -180,6 +180,10 @@ class CEngine(_Instance):
         self._go('propose', pose, dt)
         return self._frame()
 
+    def load(self, pose, dt: float):
+        self._go('propose', pose, dt)
+        return self._numbers[7:13].copy()
+
     def tangent(self, direction, dt: float, reach: float):
         self.settle()
         found = np.empty(6)

@@ -119,7 +119,7 @@ class TfEngine:
             self._passage = None
 
     def start(self, pose) -> SoilFrame:
-        """See `SoilStepper`; so are `propose`, `step` and `anchor`. What terrains ask for:
+        """See `SoilStepper`; so are `propose`, `load`, `step` and `anchor`. What terrains ask for:
         `Terrain.add_work`."""
         pose = unit_pose(pose)
         refuse_floor(pose, self._tool, self._terrain)
@@ -137,6 +137,10 @@ class TfEngine:
 
     def propose(self, pose, dt: float) -> SoilFrame:
         return self._proposed(pose, dt)[1]
+
+    def load(self, pose, dt: float) -> np.ndarray:
+        frame = self.propose(pose, dt)
+        return np.concatenate([frame.force, frame.torque])
 
     def step(self, pose, dt: float) -> SoilFrame:
         passage, frame = self._proposed(pose, dt)
@@ -160,10 +164,8 @@ class TfEngine:
         shift, turn = np.reshape(direction, (2, 3))
         step = reach / (np.linalg.norm(shift) + 0.1 * np.linalg.norm(turn))
         for way in (step, -step):
-            frame = self.propose(
-                np.append(pose[:3] + way * shift, turned(pose[3:], way * turn)), dt
-            )
-            ends.append(np.concatenate([frame.force, frame.torque]))
+            there = np.append(pose[:3] + way * shift, turned(pose[3:], way * turn))
+            ends.append(self.load(there, dt))
         return (ends[0] - ends[1]) / (2.0 * step)
 
     def _proposed(self, pose, dt):

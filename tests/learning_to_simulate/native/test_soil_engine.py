@@ -272,7 +272,10 @@ def test_a_proposal_changes_nothing_and_clones_go_on_to_the_same_bits():
     for pose, dt in far:
         one, other = c.propose(pose, dt), c.propose(pose, dt)
         assert (one.force == other.force).all() and one.judgement == other.judgement
-        assert_frame(one, tf.propose(pose, dt))
+        for engine, frame in ((c, one), (tf, tf.propose(pose, dt))):
+            assert_frame(one, frame)
+            wanted = np.append(frame.force, frame.torque)
+            np.testing.assert_array_equal(engine.load(pose, dt), wanted)
     np.testing.assert_array_equal(c.terrain.heights, heights)
     copied, other = c.clone(), tf.clone()
     assert copied.terrain is not c.terrain and copied.engine == c.engine
