@@ -227,7 +227,10 @@ def holds_model(path: str, parts: dict[str, dict], own_files: Iterable[str] = ()
     """
     if not os.path.exists(os.path.join(path, CONFIG_FILE)):
         ours = {*_FIRST, *own_files}
-        strangers = {n for n in os.listdir(path) if n not in ours and not n.endswith('.tmp')}
+        strangers = {
+            name for name in os.listdir(path)
+            if name not in ours and not name.endswith('.tmp') and not name.startswith('events.')
+        }  # fmt: skip
         if strangers:
             raise ValueError(
                 f'{path}: not empty and not a model folder (holds {sorted(strangers)[:3]}); '

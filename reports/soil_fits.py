@@ -4,17 +4,24 @@ calibration: each valid run of an operator or in a soil of its own (kind `soils`
 density given and without. By so much as angle and density are off here, `fit_soil.OFF` takes the
 model to be off; the runs that it was trained on would flatter it.
 single: each test run of kind `soils`, whose soil no other run has. three: all sets of three test
-runs of an operator in the usual soil. So no run that judges has told what a spread is.
+runs of an operator in the usual soil. So no run that judges has told what a spread is. unseen soil:
+all runs of a dataset of `--fresh`, three paths in one soil, whose seeds nobody has seen.
 wheel: the smooth wheel of Ding et al. (2011), J. Terramechanics 48, 27 (as digitised in
 roverdevkit, MIT), one run per slip that rolls at its published sinkage with its published drawbar
 and load.
 
 Examples:
-    python -m reports soil_fits --output_path=docs/soil_fits.json
+    for soil in '31 1450' '36 1700' '41 1560'; do set -- $soil
+        lts generate --scene=excavation --operator_seeds=9100-9102 --kinds=smooth,reverse,lift \
+            --friction_angle_deg=$1 --bulk_density=$2 --output_path=raw/soil$1
+        lts convert --raw_path=raw/soil$1 --like=datasets/excavation --output_path=soil$1
+    done
+    python -m reports soil_fits --fresh=soil31,soil36,soil41 --output_path=docs/soil_fits.json
     python -m reports documents docs/guide.md     # the table again, from the JSON
 """
 
 import itertools
+import os
 
 import numpy as np
 import tqdm
@@ -98,6 +105,23 @@ def known_soils(field) -> dict[str, list[dict]]:
     return found
 
 
+def unseen_soil(field, folder: str) -> dict[str, dict]:
+    """Fits of all runs of a dataset at once, which share a soil (ValueError)."""
+    from learning_to_simulate.soil_field import digs, fit_soil
+
+    cases = [case for of in dataset.read_metadata(folder)['cases'].values() for case in of]
+    soils = {(case['friction_angle_deg'], case['bulk_density_kg_m3']) for case in cases}
+    if len(soils) != 1:
+        raise ValueError(f'{folder}: runs of one soil were expected, found {sorted(soils)}')
+    names, (true,) = [str(case['case']) for case in cases], soils
+    rolled = [fit_soil.Rolled(field, dig) for dig in digs.of_dataset(folder, names)]
+    name = f'{os.path.basename(folder)}: {" ".join(names)}'
+    return {
+        what: entry(name, true, fit_soil.fit(rolled, given))
+        for given, what in ((None, ''), (true[1], ', density given'))
+    }
+
+
 def ding(field) -> list[dict]:
     """Fits of the published wheel, with its density given and without, of each slip and of all."""
     from learning_to_simulate.soil_field import fit_soil
@@ -146,7 +170,11 @@ def main(values) -> None:
     command.import_tensorflow(1)
     from learning_to_simulate.soil_field import method
 
-    fits = known_soils(method.load('models/excavation/soil_field'))
+    field = method.load('models/excavation/soil_field')
+    fits = known_soils(field)
+    for folder in values.fresh:
+        for what, row in unseen_soil(field, folder).items():
+            fits.setdefault('unseen soil' + what, []).append(row)
     fits['wheel of Ding'] = ding(method.load('models/wheel/soil_field'))
     made: dict = record.provenance(1)
     made |= {'summary': {name: summary(rows) for name, rows in fits.items()}}
@@ -158,4 +186,5 @@ def main(values) -> None:
 
 if __name__ == '__main__':
     flags.DEFINE_string('output_path', None, 'JSON file to write.', required=True)
+    flags.DEFINE_list('fresh', [], 'Folders of datasets, three digs in one soil each.')
     command.start(main)

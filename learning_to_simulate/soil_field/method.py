@@ -2,7 +2,7 @@
 
 A data path is one dataset folder or several, separated by commas: blades of one and of two bins
 train one model. While a model is trained its folder holds `training.npz`: the same command again
-goes on from there.
+goes on from there. Losses and the errors of valid runs are written for TensorBoard as well.
 """
 
 import dataclasses
@@ -10,6 +10,7 @@ import json
 import os
 
 import numpy as np
+import tensorflow as tf
 import tqdm
 
 from learning_to_simulate import checkpoints, evaluation
@@ -59,7 +60,8 @@ def train(data_path, model_path, config, options) -> dict:
             # The ranges of a field are those of the runs that come last.
             held = training.parts_of(made, valid, _bar('valid')) if first and valid else None
             pools = training.parts_of(made, runs, _bar('samples'))
-            with StopSignals() as saved.stop:
+            events = tf.summary.create_file_writer(model_path)
+            with StopSignals() as saved.stop, events.as_default():
                 losses = training.fit(made, pools, saved=saved, held=held)
             if valid:
                 judge = SoilEvaluator(made, under_load=False)
@@ -67,6 +69,12 @@ def train(data_path, model_path, config, options) -> dict:
                 made.bounds = bounds_of(results, summary['runs']['model'])
                 summary['training'] = losses
                 files.write_json(os.path.join(model_path, METRICS), summary)
+                with events.as_default():
+                    for name in ('soil_mm', 'force_relative_l2', 'torque_relative_l2'):
+                        value = summary['mean']['model'].get(name)
+                        if value is not None:  # runs without particles, a model that failed
+                            tf.summary.scalar(f'valid/{name}', value, step=config.num_steps)
+            events.close()
             made.data = data | {'runs': [f'{run.kind} {run.case}' for run in runs]}
             field_lib.save(model_path, made)
             saved.remove()

@@ -238,6 +238,7 @@ def _fit(part, call, scale, name, pools, config, noise, progress, saved=None):
             if not np.isfinite(value):
                 raise ValueError(f'the loss of the {name} is {value} at step {number}')
             bar.set_postfix(loss=f'{value:.3g}')
+            tf.summary.scalar(f'{name}/loss', value, step=number)  # of a writer, where there is one
             if number + 1 > 0.9 * num_steps:
                 late.append(value)
         if saved:

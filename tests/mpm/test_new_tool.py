@@ -87,12 +87,17 @@ def test_the_last_line(tmp_path):
         'soil 3.10 mm, force 0.160 on 4 runs kept back; shipped model as it is: refused some of '
         'them; 2 h 40 min on 2 processes; no page'
     )
-    for soil, force, taken in ((3.2, 0.17, True), (3.2, 0.15, False), (3.0, 0.17, False)):
+    for soil, force, taken in (
+        (3.2, 0.17, True),
+        (3.2, 0.15, False),
+        (2.6, 0.5, True),
+        (3.0, 0.16, False),
+    ):
         mean['mean']['model'] = {'soil_mm': soil, 'force_relative_l2': force}
         (tmp_path / 'judged_as_it_is' / 'metrics.json').write_text(json.dumps(mean))
         assert new_tool.is_taken(work) == taken
     assert new_tool.verdict(work, 4, 'here').startswith(
-        'shipped model as it is, soil 3.00 mm, force 0.170 on 4 runs kept back; trained, not '
+        'shipped model as it is, soil 3.00 mm, force 0.160 on 4 runs kept back; trained, not '
         'taken: soil 3.10 mm, force 0.160; make more --runs; 2 h 40 min on here'
     )
 

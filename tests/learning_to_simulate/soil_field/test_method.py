@@ -6,6 +6,8 @@ import subprocess
 
 import numpy as np
 import pytest
+from tensorboard.backend.event_processing import event_accumulator
+from tensorboard.util import tensor_util
 
 import learning_to_simulate as lts
 from learning_to_simulate import api, checkpoints, registry
@@ -50,6 +52,13 @@ def test_a_model_says_what_it_learned_from(model, folders, capsys):
     metrics = files.read_json(f'{model.path}/metrics.json')
     assert [row['case'] for row in metrics['runs']['model']] == ['6', '9']
     assert set(metrics['training']) == {'loss_load', 'loss_surface', 'loss_soil'}
+    events = event_accumulator.EventAccumulator(model.path).Reload()
+    seen = {tag: tensor_util.make_ndarray(events.Tensors(tag)[-1].tensor_proto).item()
+            for tag in events.Tags()['tensors']}  # fmt: skip
+    mean = metrics['mean']['model']
+    for tag, value in (('valid/soil_mm', mean['soil_mm']), ('load/loss', None), ('soil/loss', None),
+                       ('valid/force_relative_l2', mean['force_relative_l2'])):  # fmt: skip
+        assert seen[tag] == pytest.approx(value, rel=1e-6) if value else seen[tag] > 0
     again = lts.train(model.config, [lts.Dataset(f) for f in folders], model.path)
     assert type(again) is type(model) is type(lts.load(model.path)) is api.TerrainModel
     assert 'persistence' in capsys.readouterr().out
