@@ -5,8 +5,8 @@ slip and drawbar are plotted.
 
 Four driven wheels on a chassis that moves in a vertical plane: the wheel of a soil field knows no
 forces across. The height of each wheel is that of the vehicle, and the soil answers with a force.
-Wheels were taught on flat soil: in ruts and on the heap the status says so. Slip counts from the
-rim; grousers reach farther, so that an unloaded wheel has a negative one.
+Wheels were taught ruts, but no heap as high as this one: there the status says so. Slip counts from
+the rim; grousers reach farther, so that an unloaded wheel has a negative one.
 """
 
 import pathlib

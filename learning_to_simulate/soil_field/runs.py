@@ -43,6 +43,7 @@ class Run(NamedTuple):
       dt: s of a frame.
       machine: of a tool that was not moved along a given path; else None.
       floor: of the bed, m; far below where it is not known.
+      lead_in: whether an earlier pass had changed the bed.
     """
 
     case: str
@@ -61,6 +62,7 @@ class Run(NamedTuple):
     dt: float = 1.0 / 60.0
     machine: Machine | None = None
     floor: float = -1e3
+    lead_in: bool = False
 
     def terrain(self, frame: int = 0) -> Terrain:
         """The bed in a frame with heights."""
@@ -70,9 +72,10 @@ class Run(NamedTuple):
         )  # fmt: skip
 
     def before(self) -> Terrain:
-        """The bed before the tool stood on it; a wheel has sunk into it in the first frame."""
+        """The bed before the tool stood on it. A wheel has sunk into it in the first frame, unless
+        it has made a rut and is over that."""
         terrain = self.terrain()
-        if self.tool.name == 'wheel':
+        if self.tool.name == 'wheel' and not self.lead_in:
             terrain.write(slice(None), np.median(terrain.heights))
         return terrain
 
@@ -132,6 +135,7 @@ def read(folder: str, split: str) -> list[Run]:
                     np.asarray(maps.corner), np.asarray(maps.cell),
                     None if sample is None else sample[i], float(metadata['dt']),
                     machine_of(case, record), floor_of(case, maps[i]),
+                    bool(case.get('lead_in_frames')),
                 )
             )  # fmt: skip
     return found

@@ -99,6 +99,17 @@ def test_a_dataset_gives_its_raw_runs(tmp_path):
         np.testing.assert_allclose(run.terrain().cell * run.terrain().shape, [BIN[0], BIN[2]])
 
 
+@pytest.mark.parametrize('lead_in', [{}, {'lead_in_frames': 120}])
+def test_a_wheel_stands_on_a_level_bed_or_over_a_rut(tmp_path, lead_in):
+    wheel = {'diameter_m': 0.3, 'body_width_m': 0.1}
+    raw = raw_folder(tmp_path / 'raw', add_torque, **wheel, **lead_in)
+    convert.convert(raw, str(tmp_path / 'data'), modes=4)
+    for run in runs.read(str(tmp_path / 'data'), 'test'):
+        bed = run.before().heights
+        assert run.tool == Wheel(0.1, 0.15) and np.ptp(run.heights[0]) > 1e-3
+        assert np.all(bed == run.heights[0] if lead_in else bed == np.median(run.heights[0]))
+
+
 def test_what_is_missing_is_named(tmp_path):
     def without_torque(case, arrays):
         arrays['heights'] = surface(case)
