@@ -86,7 +86,8 @@ class SoilStepper:
         return self._engine.propose(pose, dt)
 
     def load(self, pose, dt: float = DT) -> np.ndarray:
-        """Force and torque [6] of that frame alone, in less time."""
+        """Force and torque of the frame of `propose` alone, float64 [6], N and N m, world; in less
+        time. ValueError as of `step`."""
         _ = self.frame
         return self._engine.load(pose, dt)
 

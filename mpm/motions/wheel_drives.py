@@ -184,8 +184,9 @@ def _leave_a_rut(rng, story, wheel, base, stays) -> tuple[float, Levels]:
     up, down = base + LIFT, base - depth
     times, heights = [0.0, 0.2], [base + 0.002, down]
     story.add(0.2)
-    for rim in (RUT_SPEED / (1.0 - slip),) * 2 + (0.0,):
-        story.go(max(way / RUT_SPEED - 0.2, 0.1) if story.last('rim') == rim else 0.2, rim, slip)
+    rim = RUT_SPEED / (1.0 - slip)
+    for seconds, to in ((0.2, rim), (max(way / RUT_SPEED - 0.2, 0.1), rim), (0.2, 0.0)):
+        story.go(seconds, to, slip)
         times.append(story.time)
         heights.append(base - min(rng.uniform(0.7, 1.3) * depth, DEEPEST_RUT))
     story.add(0.2)
@@ -219,14 +220,13 @@ def _bobbing(rng, base, wheel, seconds, up) -> Levels:
     return Levels(times, heights)
 
 
-def _slip(rng, story, seconds) -> None:
+def _slip(rng, story, seconds, direction=1.0) -> None:
     while story.time < seconds:
-        story.roll(rng.uniform(0.5, 1.5) * min(seconds / 3.0, 1.0))
+        story.roll(rng.uniform(0.5, 1.5) * min(seconds / 3.0, 1.0), direction)
 
 
 def _back(rng, story, seconds) -> None:
-    while story.time < seconds:
-        story.roll(rng.uniform(0.5, 1.5), -1.0)
+    _slip(rng, story, seconds, -1.0)
 
 
 def _stops(rng, story, seconds) -> None:

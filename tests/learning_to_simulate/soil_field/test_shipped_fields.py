@@ -1,5 +1,6 @@
 """The shipped fields as their users meet them: what must hold whatever was learned."""
 
+import dataclasses
 import functools
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 
 import learning_to_simulate as lts
 from learning_to_simulate.soil_field.place import place_of
+from learning_to_simulate.soil_field.stepper import SoilStepper
 from tests.learning_to_simulate.native import worlds
 from tests.learning_to_simulate.soil_field.scenes import mirrored, poses
 
@@ -281,18 +283,21 @@ def test_a_load_that_throws_a_tool_is_said_to():
     assert tool.velocity[1] == 0.0 and stepper.frame.pose[1] == pose[1]
 
 
-def test_ground_rougher_than_ruts_is_flagged():
-    """A wheel was taught ruts of up to 8 mm: grains of 3 mm are no reason to flag it, 30 mm are."""
-    status = {}
-    for rough in (3e-3, 3e-2):
+@pytest.mark.parametrize('taught, fine, rough', [('ruts', 3e-3, 6e-2), ('flat', 3e-4, 3e-3)])
+def test_ground_that_is_hardly_rougher_than_taught_is_known(taught, fine, rough):
+    """A wheel was taught ruts of up to 8 mm; one of flat ground alone knows grains of 0.3 mm."""
+    field, status = model('wheel').model, {}
+    if taught == 'flat':
+        flat = dict.fromkeys(('bed_low', 'bed_high', 'uneven'), [0.0, 0.0])
+        field = dataclasses.replace(field, ranges=field.ranges | flat)
+    for size in (fine, rough):
         soil = ground()
-        soil.heights[:] = rough / 2 * np.sign(np.random.default_rng(0).normal(size=soil.shape))
-        tool = stepper('wheel', soil)
+        soil.heights[:] = size / 2 * np.sign(np.random.default_rng(0).normal(size=soil.shape))
+        tool = SoilStepper(field, soil, TOOLS['wheel'])
         frames = [tool.start((pose := poses(way('wheel')))[0])] + [tool.step(p) for p in pose[1:]]
-        flagged = np.mean([f.now.status != 'ok' for f in frames[60:]])
-        status[rough] = flagged, frames[-1].judgement.reason
-    assert status[3e-3][0] == 0, status
-    assert status[3e-2][0] > 0.5 and 'bed_' in status[3e-2][1], status
+        status[size] = {f.now.status for f in frames[60:]}, frames[-1].judgement.reason
+    assert status[fine][0] == {'ok'}, status
+    assert status[rough][0] == {'extrapolating'} and 'bed_' in status[rough][1], status
 
 
 @pytest.mark.parametrize(
