@@ -26,7 +26,8 @@ _BITS = {
         'lug_height', 'stress',
     ),
     'LTS_OUTSIDE_START': (
-        'bed_low', 'bed_high', 'uneven', 'wall', 'beyond_map', 'thin_soil', 'other_tool', 'cell'
+        'bed_low', 'bed_high', 'uneven', 'wall', 'beyond_map', 'thin_soil', 'other_tool', 'cell',
+        'crossfall',
     ),
     'LTS_OUTSIDE_SPEED': ('speed', 'along'),
 }  # fmt: skip
@@ -126,6 +127,7 @@ def values(field) -> dict:
         'judged_near': soil_field.NEAR,
         'least_soil': tool.least_soil,
         'apart': soil_field.APART,
+        'crossed': passage.CROSSED,
         'bound': field.bounds.get('force', (-1.0,) * 3),
     }
     channels = {n: c[f'LTS_SOIL_{n.upper()}'] for n in (*sweep.CHANNELS, 'beside')}

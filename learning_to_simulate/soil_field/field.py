@@ -23,7 +23,7 @@ MARGIN = 0.05
 # Yaw and roll, rad; all others in m of the field: distance of the tool from the plane of its
 # passage; how far its ends stand out of the map; what is missing of the tool's `least_soil` between
 # it and the floor; by how much another tool is nearer than `APART`; the side of a cell, at most the
-# tool's `largest_cell`.
+# tool's `largest_cell`; `Passage.crossfall`.
 CONDITIONS = {
     'yaw': (-0.035, 0.035),
     'roll': (-0.035, 0.035),
@@ -32,6 +32,7 @@ CONDITIONS = {
     'thin_soil': (0.0, 0.0),
     'other_tool': (0.0, 0.0),
     'cell': (0.0, np.nan),
+    'crossfall': (0.0, 0.004),
 }
 APART = 0.1
 # Numbers of a frame that are judged: scalars, and what follows from bins about the tool, from how
@@ -89,7 +90,7 @@ class SoilField:
 
     def judged(self, frames: sweep.Frame, conditions=None, bears: bool | None = None) -> np.ndarray:
         """[T, N] numbers that say whether frames of one tool are like those of training, see
-        `judged_names`; `conditions` are [T, 7] of `CONDITIONS` (None: all as they should be),
+        `judged_names`; `conditions` are [T, C] of `CONDITIONS` (None: all as they should be),
         `bears` says whether soil acts on the tool, where that is known, see `contact`."""
         columns = self.networks.scalars
         tip, height, radius = (

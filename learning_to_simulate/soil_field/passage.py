@@ -19,6 +19,7 @@ EVEN = 1e-3  # m of the field by which strips may differ and count as one
 MAX_STEP = sweep.WINDOW
 SET_DOWN = 0.05  # m of the field above all soil, from where a tool is set down
 UNDER = 0.1  # m of the field along the way from a tool, where terrain counts as under it
+CROSSED = 0.05  # m of the field along the way from a tool, where terrain may fall across it
 BACK = 0.02  # m of the field behind its foremost place, from where a tool has turned back
 # Bounds of the factor by which a heap is drawn up for its volume: (20). On ways longer than any run
 # it must not pile up before the tool what that has left at its sides.
@@ -114,6 +115,24 @@ class Passage:
     def is_over(self) -> bool:
         """Whether the tool has cut and is lifted since."""
         return self.is_lifted and bool(sweep.all_cut(self.state).any())
+
+    @property
+    def crossfall(self) -> float:
+        """By how much the terrain before the tool falls across the width w of a tool that sees one
+        strip, m of the field: |b| w of the line a + b z that fits the cells under it best. Those
+        near its ends count less, by (1 - (2 z / w)^2)^2, so that a rut of its own width is level
+        wherever its walls lie among the cells."""
+        if self.tool.columns > 1:
+            return 0.0
+        width, cell = self.tool.width / self.scale, self.terrain.cell.max() / self.scale
+        u, z = (self._places - [self.state.tip[0], 0.0]).T
+        weight = np.maximum(1.0 - (2.0 * z / (width + cell)) ** 2, 0.0) ** 2
+        weight[np.abs(u) > CROSSED + cell] = 0.0
+        total = max(weight.sum(), 1e-12)
+        z = z - weight @ z / total
+        # Where all those cells lie in one row, nothing can fall across.
+        slope = (weight * z) @ self._before / self.scale / max((weight * z) @ z, 1e-6 * total)
+        return float(abs(slope)) * width
 
     def _is_even(self, u):
         """Whether all strips are equal at places u [k]."""

@@ -300,6 +300,42 @@ def test_ground_that_is_hardly_rougher_than_taught_is_known(taught, fine, rough)
     assert status[rough][0] == {'extrapolating'} and 'bed_' in status[rough][1], status
 
 
+@pytest.mark.parametrize('engine', ['c', 'tensorflow'])
+@pytest.mark.parametrize('place', [0.0, 0.003, 0.007])
+def test_a_wheel_half_in_a_rut_is_flagged_and_one_in_its_middle_is_not(place, engine):
+    """It has one strip and sees the mean across; wherever the rut lies among the cells."""
+    path = poses(way('wheel', 80))
+    path[:, 2] += place
+
+    def goes(beside):
+        tool = model('wheel').stepper(ground(), TOOLS['wheel'], engine=engine)
+        status = []
+        for shift in (0.0, 0.0, beside):
+            for height in (0.1, 0.0):  # from above
+                pose = path[0] + [0, height, shift, 0, 0, 0, 0]
+                _ = tool.step(pose, 9.0) if status else tool.start(pose)
+                status.append(tool.frame.now)
+            status = [tool.step(pose + [0, 0, shift, 0, 0, 0, 0], 0.05).now for pose in path[1:]]
+            up = tool.frame.pose + [0, 0.1, 0, 0, 0, 0, 0]
+            tool.step(up, 9.0)
+        return status
+
+    ways = [[now.reason for now in goes(beside)] for beside in (0.0, 0.04)]
+    counts = [sum(reason.startswith('crossfall ') for reason in way) for way in ways]
+    assert counts[0] == 0 and counts[1] > 30, ways
+
+
+@pytest.mark.parametrize('fall, is_known', [(0.02, True), (0.1, False)])
+def test_a_slope_across_a_wheel_is_flagged(fall, is_known):
+    soil = ground()
+    soil.heights[:] = fall * soil.middles[1]
+    path = poses(way('wheel', 80))
+    tool = model('wheel').stepper(soil, TOOLS['wheel'])
+    go(tool, path, 0.05)
+    assert (tool.frame.now.status == 'ok') == is_known
+    assert is_known or tool.frame.now.reason.startswith(f'crossfall {fall * 0.1:.3g} is outside')
+
+
 @pytest.mark.parametrize(
     'blade, is_known',
     [

@@ -22,7 +22,7 @@ enum {
 #define LTS_SOIL_CHANNELS 7
 #define LTS_SOIL_UNDER_ALONG 11 /* places at which soil is looked for that has risen under a tool in the air */
 #define LTS_SOIL_UNDER_ACROSS 5
-#define LTS_SOIL_CONDITIONS 7   /* the last of what is judged */
+#define LTS_SOIL_CONDITIONS 8   /* the last of what is judged */
 #define LTS_SOIL_JUDGED_SPEED 3 /* the number of the speed among what is judged */
 
 /* Scalars of a frame that come from the path; then memories [LTS_SOIL_MEMORIES][LTS_SOIL_MOTIONS], those of the
@@ -81,11 +81,11 @@ struct lts_soil_model {
   lts_soil_network after, surface, soil;
   /* Status: limits [4][n_judged], the least and the most that is well, then the range of training; middle
    * [n_judged] of that; the bit of each; how near to the tool bins are judged, how much
-   * soil lies under it at least and how far other tools are, m. */
+   * soil lies under it at least, how far other tools are, and how near it is judged what falls across, m. */
   int32_t n_judged, n_named; /* n_named: those that are scalars of a frame */
   const double *limits, *middle;
   const int32_t *bits;
-  double judged_here, judged_near, least_soil, apart;
+  double judged_here, judged_near, least_soil, apart, crossed;
   double bound[3]; /* of the force: a constant (N of the field), of the spread, of the size; below 0: none */
 };
 

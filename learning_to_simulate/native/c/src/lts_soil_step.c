@@ -52,6 +52,28 @@ static int find_ground(const lts_soil *soil, const lts_passage *p, double area, 
   return lts_soil_lowest_part(soil) < level + (double)m->above + (double)m->heap * sqrt(fmax(area, 0.0));
 }
 
+/* `Passage.crossfall`: weighted sums over the cells before the tool, of which few lie under it. */
+static double crossfall_of(const lts_soil *soil, const lts_passage *p) {
+  const lts_soil_model *m = soil->model;
+  const lts_terrain *t = soil->terrain;
+  const lts_cells *c = &soil->cells[p->s.cells];
+  const double cell = fmax(t->cell[0], t->cell[1]) / soil->scale, width = soil->width + cell;
+  double sum = 0.0, z = 0.0, h = 0.0, zz = 0.0, zh = 0.0;
+  if (m->n_column > 1) return 0.0;
+  for (int32_t k = 0; k < c->n; ++k) {
+    const double part = 2.0 * c->across[k] / width, inside = 1.0 - part * part;
+    if (!(inside > 0.0 && fabs(c->u[k] - p->s.pose[0]) <= m->crossed + cell)) continue;
+    const double weight = inside * inside, at = weight * c->across[k];
+    sum += weight;
+    z += at;
+    h += weight * c->before[k];
+    zz += at * c->across[k];
+    zh += at * c->before[k];
+  }
+  sum = fmax(sum, 1e-12);
+  return fabs(zh - z / sum * h) / soil->scale / fmax(zz - z / sum * z, 1e-6 * sum) * soil->width;
+}
+
 /* What no network sees: `CONDITIONS` of field.py. */
 static void find_conditions(const lts_soil *soil, const lts_passage *p, const lts_pose *pose,
                             double found[LTS_SOIL_CONDITIONS]) {
@@ -78,6 +100,7 @@ static void find_conditions(const lts_soil *soil, const lts_passage *p, const lt
   found[4] = fmax(soil->model->least_soil - over / soil->scale, 0.0);
   found[5] = near / soil->scale;
   found[6] = fmax(t->cell[0], t->cell[1]) / soil->scale;
+  found[7] = crossfall_of(soil, p);
 }
 
 /* Scalars, ground and conditions [n_judged]; in the air all is free but what the tool is. bears: whether soil acts on
