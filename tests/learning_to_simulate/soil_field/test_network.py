@@ -3,6 +3,7 @@
 
 import numpy as np
 import pytest
+import tensorflow as tf
 
 from learning_to_simulate.soil_field import network, settings, sweep
 from learning_to_simulate.soil_field.tools import Blade, Wheel
@@ -12,6 +13,7 @@ from tests.learning_to_simulate.soil_field.scenes import PATH, poses, walk
 TOOLS = {'blade': Blade(0.3), 'wheel': Wheel(0.1, 0.1, 8, 0.01)}
 RISES = {'blade': 0.0, 'wheel': 0.08}  # of the circle's centre over that of a blade
 HIDDEN = {'load': (6,), 'surface': (7,), 'soil': (5, 4)}
+SIZES = [3, 5, 4, 2]
 RNG = np.random.default_rng(0)
 # u from the tool, height, across: on both sides of all that changes over, and far away.
 PLACES = RNG.uniform((-0.4, -0.15, -0.5), (0.4, 0.02, 0.5), (40, 3))
@@ -95,3 +97,27 @@ def test_weights_of_a_model_take_at_most_400_kib(tool):
     nets = network.SoilNetworks(tool, members, 0)
     numbers = sum(np.prod(v.shape) for v in nets.trainable_variables)
     assert members == 3 and 4 * numbers <= 400_000
+
+
+@pytest.mark.parametrize('first', [None, 1, 2])
+def test_members_are_perceptrons_that_know_nothing_of_each_other(first):
+    members = network.Members(3, SIZES, 7, 'some')
+    x = np.random.default_rng(0).normal(size=(6, 3))
+    found = members(tf.constant(x, tf.float32), first).numpy()
+    wanted = []
+    for m in range(3 if first is None else first):
+        y = x
+        for i, (weight, bias) in enumerate(members.layers):
+            y = y if i == 0 else y / (1 + np.exp(-y))  # silu
+            y = y @ weight.numpy()[m] + bias.numpy()[m]
+        wanted.append(y)
+    np.testing.assert_allclose(found, wanted, atol=1e-6)
+    assert not np.allclose(wanted[0], wanted[-1]) or first == 1
+
+
+def test_first_weights_are_those_of_the_seed_and_the_last_layer_is_small():
+    one, same, other = (network.Members(2, SIZES, seed, 'some').layers for seed in (1, 1, 2))
+    for a, b, c in zip(one, same, other):
+        np.testing.assert_array_equal(a[0], b[0])
+        assert not np.array_equal(a[0], c[0]) and not np.any(a[1])
+    assert np.std(one[-1][0]) < 0.3 * np.std(one[0][0])
