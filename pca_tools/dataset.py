@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from pca_tools import files, packing, rigid_fit, tfrecord_io
-from pca_tools.metadata import DIM, METADATA_NAME, SPLITS, read_metadata
+from pca_tools.metadata import DIM, METADATA_NAME, SPLITS, non_finite, read_metadata
 
 RIGID_PARTICLE_ID = 0
 KINEMATIC_PARTICLE_ID = 3
@@ -252,35 +252,30 @@ def trajectory_problems(trajectory: Trajectory, metadata: dict[str, Any]) -> lis
 
 
 def _series_problems(trajectory: Trajectory) -> list[str]:
-    problems = []
-    for name, shape in {'position': (len(trajectory.particle_type), DIM), **FRAME_SERIES}.items():
-        values = getattr(trajectory, name)
-        if values is not None:
-            if not has_shape(values, trajectory.n_frames, shape):
-                problems.append(
-                    f'{name} has shape {values.shape}, {trajectory.n_frames} frames of {shape} '
-                    'were expected'
-                )
-            problems += non_finite_problems(values, name)
-    return problems
-
-
-def has_shape(values: np.ndarray, n_frames: int, of_frame: tuple) -> bool:
-    """Whether a series has `n_frames` frames of a shape, where None is any number."""
-    return values.ndim == 1 + len(of_frame) and all(
-        wanted in (None, size) for wanted, size in zip((n_frames, *of_frame), values.shape)
+    shapes = {'position': (len(trajectory.particle_type), DIM), **FRAME_SERIES}
+    faults = (
+        series_fault(values, name, trajectory.n_frames, shape)
+        for name, shape in shapes.items()
+        if (values := getattr(trajectory, name)) is not None
     )
+    return [fault for fault in faults if fault]
 
 
-def non_finite_problems(values: np.ndarray, name: str, point: str = 'node') -> list[str]:
-    """Returns a sentence that counts values [T, points, axes] or [T, axes] that are not finite,
-    with the place of the first; `point` is what a point is called."""
-    bad = np.argwhere(~np.isfinite(values))
-    if not len(bad):
-        return []
-    axes = ('frame', 'axis') if values.ndim == 2 else ('frame', point, 'axis')
-    first = ', '.join(f'{axis} {index}' for axis, index in zip(axes, bad[0]))
-    return [f'{name} holds {len(bad)} NaN or infinite values, the first at {first}']
+def series_fault(
+    values: np.ndarray, name: str, n_frames: int, of_frame: tuple, point: str = 'node'
+) -> str:
+    """Says what is wrong with a series of `n_frames` frames of a shape, where None is any number;
+    empty if nothing is. `point` is what a point of it is called."""
+    expected = (n_frames, *of_frame)
+    fits = values.ndim == len(expected) and all(
+        wanted in (None, size) for wanted, size in zip(expected, values.shape)
+    )
+    if not fits or not values.size or values.dtype.kind not in 'fiu':
+        sizes = ' x '.join('any' if size is None else str(size) for size in of_frame)
+        shape = f'{values.shape}, {values.dtype}'
+        return f'{name} has shape {shape} for {n_frames} frames of {sizes} values'
+    fault = non_finite(values, 'frame', *(point, 'axis')[1 - values.ndim :])
+    return f'{name} holds {fault}' if fault else ''
 
 
 def write_split(path: str, trajectories: Sequence[Trajectory], packed: bool = False) -> int:

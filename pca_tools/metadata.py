@@ -15,6 +15,8 @@ import sys
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import numpy as np
+
 from pca_tools import files
 
 METADATA_NAME = 'metadata.json'
@@ -56,6 +58,17 @@ def union_of_bounds(every: Sequence[list[list[float]]]) -> list[list[float]]:
         [min(low for low, _ in pairs), max(high for _, high in pairs)]
         for pairs in zip(*every, strict=True)
     ]
+
+
+def non_finite(values: np.ndarray, *axes: str) -> str:
+    """Says how many values are not finite and where the first is, by the names of its last axes;
+    empty where all are finite."""
+    bad = np.argwhere(~np.isfinite(values))
+    if not len(bad):
+        return ''
+    axes = axes[-values.ndim :]
+    place = ', '.join(f'{axis} {index}' for axis, index in zip(axes, bad[0][-len(axes) :]))
+    return f'{len(bad)} NaN or infinite values, the first at {place}'
 
 
 def is_number(value: Any) -> bool:

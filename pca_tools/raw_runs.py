@@ -19,7 +19,7 @@ import numpy as np
 from tqdm import tqdm
 
 from pca_tools import files, heights, matching, metadata
-from pca_tools.dataset import FRAME_SERIES, FrameSeries, has_shape, non_finite_problems
+from pca_tools.dataset import FRAME_SERIES, FrameSeries, series_fault
 from pca_tools.heights import Grid
 from pca_tools.metadata import AXES, DIM
 from pca_tools.subspace import Subspace
@@ -275,16 +275,8 @@ def array_faults(arrays: dict[str, np.ndarray], scene: dict[str, Any]) -> list[s
     for name, shape in (SERIES | {'step_context': (len(scene['context_names']),)}).items():
         if name not in arrays or (name == 'rigid_positions' and not has_body):
             continue
-        values = arrays[name]
-        is_numbers = values.size and values.dtype.kind in 'fiu'
-        if not is_numbers or not has_shape(values, frames, shape):
-            sizes = ' x '.join('any' if size is None else str(size) for size in shape)
-            faults.append(
-                f'{name} has shape {values.shape}, {values.dtype} for {frames} frames of {sizes} '
-                'values'
-            )
-        else:
-            faults += non_finite_problems(values, name, 'point')
+        if fault := series_fault(arrays[name], name, frames, shape, 'point'):
+            faults.append(fault)
     bodies, body = scene.get('bodies', []), arrays.get('rigid_positions', np.empty(0))
     if has_body and body.ndim == 3:
         highest = max((max(edge) for edge in scene['rigid_edges']), default=-1)

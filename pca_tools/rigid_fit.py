@@ -11,6 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pca_tools.metadata import non_finite
+
 MIN_POINTS = 3
 
 
@@ -42,11 +44,8 @@ def fit_rigid_motion(source: np.ndarray, target: np.ndarray) -> RigidMotion:
             f'{len(source)} points do not fix a rotation, at least {MIN_POINTS} are needed'
         )
     for name, points in (('source', source), ('target', target)):
-        if not np.all(np.isfinite(points)):
-            first = np.argwhere(~np.isfinite(points))[0]
-            raise ValueError(
-                f'{name} holds NaN or infinity, the first at point {first[0]}, axis {first[1]}'
-            )
+        if fault := non_finite(points, 'point', 'axis'):
+            raise ValueError(f'{name} holds {fault}')
     source_mean, target_mean = source.mean(axis=0), target.mean(axis=0)
     centred_source, centred_target = source - source_mean, target - target_mean
     left, _, right = np.linalg.svd(centred_source.T @ centred_target)

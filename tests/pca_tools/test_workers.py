@@ -7,7 +7,7 @@ import time
 import numpy as np
 import pytest
 
-from pca_tools import decompose, subspace, workers
+from pca_tools import subspace, workers
 from tests.pca_tools import jobs
 
 
@@ -66,7 +66,7 @@ def runs_of_six_modes(count):
 
 def test_covariance_on_workers_gives_the_same_subspace(crew, monkeypatch):
     runs, memory = runs_of_six_modes(7)
-    monkeypatch.setattr(decompose, 'RUNS_PER_TASK', 2)
+    monkeypatch.setattr(subspace, 'RUNS_PER_TASK', 2)
     plain = subspace.fit(jobs.Runs(runs), 4, max_memory_mb=memory)
     found = subspace.fit(jobs.Runs(runs), 4, max_memory_mb=memory, crew=crew)
     direct = subspace.fit(runs, 4)
