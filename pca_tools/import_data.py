@@ -36,7 +36,6 @@ def import_data(
     folder: str,
     output_path: str,
     *,
-    format_name: str | None = None,
     dt: float | None = None,
     up_axis: int | None = None,
     body: str | None = None,
@@ -51,9 +50,9 @@ def import_data(
         FileNotFoundError: there is no such folder.
         ValueError: data that are not known, damaged, or lack what nobody stated.
     """
-    kind = format_name or detect.detect(folder)
+    kind = detect.detect(folder)
     if kind in (detect.RAW, detect.DATASET):
-        raise ValueError(detect.explain(kind, folder))
+        raise ValueError(detect.NO_IMPORT[kind].format(folder=folder))
     name = name or os.path.basename(os.path.abspath(folder))
     if kind == detect.AUTHORS:
         metadata, notes = authors.import_dataset(
@@ -99,17 +98,17 @@ def _lacking(data: full_space.FullSpaceData, up: int | None, reason: str | None)
     return lacking
 
 
-def explain(folder: str, format_name: str | None = None) -> str:
+def explain(folder: str) -> str:
     """Returns what a folder is and what to do with it, with the flags that it surely needs; raises
     as `import_data`. No run is read: where there are bounds the upward axis may follow from all of
     them."""
-    kind = format_name or detect.detect(folder)
-    text = detect.explain(kind, folder)
-    if kind in detect.FORMATS:
-        data = detect.FORMATS[kind].read(folder)
-        lacking = _lacking(data, *((0, None) if data.bounds else _up_axis(data, None)))
-        text += ''.join(f' {flag}' for flag in lacking)
-    return text
+    kind = detect.detect(folder)
+    if kind in detect.NO_IMPORT:
+        return detect.NO_IMPORT[kind].format(folder=folder)
+    data = detect.FORMATS[kind].read(folder)
+    lacking = _lacking(data, *((0, None) if data.bounds else _up_axis(data, None)))
+    command_line = ' '.join([f'lts import {folder} --output_path=RAW', *lacking])
+    return f'{folder}: this is {detect.FORMATS[kind].TITLE}; to use it: {command_line}'
 
 
 def _scaled(
@@ -135,7 +134,6 @@ def define_flags() -> None:
     flags.DEFINE_string(
         'output_path', None, 'Folder of the new raw runs; without it the data are only named.'
     )
-    flags.DEFINE_enum('format', None, sorted(detect.FORMATS), 'Default: told by the files.')
     flags.DEFINE_float('dt', None, 'Seconds per frame, where the data do not say or say it wrong.')
     flags.DEFINE_integer('up_axis', None, 'Axis against gravity: 0, 1 or 2.')
     flags.DEFINE_enum(
@@ -151,11 +149,11 @@ def define_flags() -> None:
 
 def main(values, arguments: Sequence[str]) -> None:
     if values.output_path is None:
-        print(explain(arguments[0], values.format))
+        print(explain(arguments[0]))
         return
     names = ('dt', 'up_axis', 'body', 'name', 'length_scale', 'force_scale', 'check_units')
     options = {name: values[name].value for name in names}
-    print(import_data(arguments[0], values.output_path, format_name=values.format, **options))
+    print(import_data(arguments[0], values.output_path, **options))
 
 
 if __name__ == '__main__':

@@ -16,11 +16,12 @@ FORMATS: dict[str, ModuleType] = {
 }  # fmt: skip
 # Folders that need no import: what they are and what to do with them.
 RAW, DATASET, AUTHORS = 'raw', 'dataset', 'authors'
-_NO_IMPORT = {
-    RAW: 'these are raw runs already: lts convert --raw_path={} --output_path=DATASET',
-    DATASET: 'this is a dataset of this project already: lts inspect {}',
-    AUTHORS: 'this is a dataset of Subspace-Graph-Physics: it is read as it is '
-    '(learning_to_simulate.train --data_path={}); importing it adds scene, keys and manifest',
+NO_IMPORT = {
+    RAW: '{folder}: these are raw runs already: lts convert --raw_path={folder} '
+    '--output_path=DATASET',
+    DATASET: '{folder}: this is a dataset of this project already: lts inspect {folder}',
+    AUTHORS: '{folder}: this is a dataset of Subspace-Graph-Physics: it is read as it is '
+    '(learning_to_simulate.train --data_path={folder}); importing it adds scene, keys and manifest',
 }
 
 
@@ -53,29 +54,17 @@ def detect(folder: str) -> str:
     ):  # fmt: skip
         if is_one(folder):
             return name
-    raise ValueError(f'{folder}: {_unknown(names, endings)}')
+    if endings:
+        lacks = f'holds {names[:5]} but no {METADATA_NAME}, which these formats need'
+        raise ValueError(f'{folder}: {lacks}')
+    raise ValueError(
+        f'{folder}: holds {names[:8] or "nothing"}, which is none of the known formats '
+        f'({", ".join(sorted(FORMATS))}); write its particles as one npz per run with `positions` '
+        '[T, N, D]'
+    )
 
 
 def _json(folder: str, name: str) -> dict | None:
     path = os.path.join(folder, name)
     held = files.read_json(path) if os.path.exists(path) else None
     return held if isinstance(held, dict) else None
-
-
-def _unknown(names: list[str], endings: list[str]) -> str:
-    if endings:
-        return f'holds {names[:5]} but no {METADATA_NAME}, which these formats need'
-    known = ', '.join(sorted(FORMATS))
-    return (
-        f'holds {names[:8] or "nothing"}, which is none of the known formats ({known}); write its '
-        'particles as one npz per run with `positions` [T, N, D]'
-    )
-
-
-def explain(kind: str, folder: str) -> str:
-    """Returns what a folder of a kind is and what to do with it, in one sentence."""
-    if kind in _NO_IMPORT:
-        return f'{folder}: ' + _NO_IMPORT[kind].format(folder)
-    return (
-        f'{folder}: this is {FORMATS[kind].TITLE}; to use it: lts import {folder} --output_path=RAW'
-    )

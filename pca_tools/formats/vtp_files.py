@@ -227,12 +227,12 @@ def _run_of(name: str, paths: list[str]) -> FullSpaceRun:
         raise ValueError(f'{paths[0]}: the frames of its run have {counts} points')
     data, fields = frames[0][1], [field for _, _, field in frames]
     types = next((data[key] for key in _TYPE_NAMES if key in data), np.int64(SOIL_TYPE))
-    types = full_space.type_column(types, counts[0], paths[0])
     force = None
     if all('force' in field for field in fields):
         force = np.array([field['force'].ravel() for field in fields])
     split = next((split for split in SPLITS if name.startswith(split)), '')
     positions = np.stack([points for points, _, _ in frames])
+    types = full_space.particle_types(types, positions, paths[0])
     return full_space.check_run(FullSpaceRun(name, split, positions, types, force), paths[0])
 
 

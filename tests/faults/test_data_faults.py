@@ -208,7 +208,7 @@ def test_texts_of_impossible_characters_are_refused(tmp_path):
 @pytest.mark.parametrize('types', [np.array(['soil'] * 4), np.array([1.5] * 4), np.full(4, np.nan)])
 def test_particle_types_that_are_no_whole_numbers_are_refused(types):
     with pytest.raises(ValueError, match='run.npz: particle types are not whole numbers'):
-        full_space.type_column(types, 4, 'run.npz')
+        full_space.particle_types(types, np.zeros((1, 4, 3)), 'run.npz')
 
 
 def test_periodic_boundaries_that_are_no_list_are_refused(tmp_path):
