@@ -23,7 +23,6 @@ from pca_tools import command, convert, dataset, encode, files, heights, packing
 from pca_tools.encode import EncodedRun
 from pca_tools.metadata import SPLITS
 from pca_tools.raw_runs import RawRuns, raise_faults
-from pca_tools.splits import given_splits
 from pca_tools.storage import folder_lock
 
 
@@ -97,11 +96,10 @@ def _encode_new(
             )
     if not new:
         raise ValueError(f'{data_path}: holds all {len(runs)} runs already; nothing was changed')
-    named = [runs.parameters(index).get('split') for index in new]
-    dealt = given_splits([runs.cases[index] for index in new], named, need_train=False)
+    dealt = convert.given_splits(runs, new, need_train=False)
     if dealt is None:
         raise ValueError(f'{runs.folder}: its runs name no split of {SPLITS} in their parameters')
-    return {split: encoded([new[place] for place in part]) for split, part in dealt.items()}
+    return {split: encoded(part) for split, part in dealt.items()}
 
 
 def _are_equal(

@@ -19,7 +19,6 @@ from tqdm import tqdm
 from pca_tools import dataset, files, heights, packing, particles
 from pca_tools.metadata import METADATA_NAME, PROJECTION_KEYS, SCHEMA_VERSION, union_of_bounds
 from pca_tools.raw_runs import RawRun, RawRuns
-from pca_tools.statistics import motion_statistics
 from pca_tools.storage.folder_lock import LOCK_NAME
 from pca_tools.subspace import SUBSPACE_NAME, Subspace
 
@@ -334,6 +333,40 @@ def make_metadata(
         },
         'cases': {name: [run.parameters for run in part] for name, part in parts.items()},
     }
+
+
+def motion_statistics(trajectories: Sequence[dataset.Trajectory]) -> dict[str, list[float]]:
+    """Computes the normalisation statistics of DeepMind's metadata and of the authors'.
+
+    Returns:
+        `vel_mean, vel_std, acc_mean, acc_std` [3] per frame (v_t = x_t - x_{t-1}, a_t = v_t -
+        v_{t-1}, not divided by dt), over all nodes that are not kinematic; the same of
+        `rigid_body_force`, `rigid_body_torque` [3] and `context` [C] where the runs have them.
+    """
+    moving = [
+        run.position[:, run.particle_type != dataset.KINEMATIC_PARTICLE_ID].astype(np.float64)
+        for run in trajectories
+    ]
+    statistics = {}
+    for name, samples in (
+        ('vel', [np.diff(positions, axis=0) for positions in moving]),
+        ('acc', [np.diff(positions, n=2, axis=0) for positions in moving]),
+        ('rigid_body_force', [run.force for run in trajectories]),
+        ('rigid_body_torque', [run.torque for run in trajectories]),
+        ('context', [run.step_context for run in trajectories]),
+    ):
+        if samples[0] is not None:
+            rows = np.concatenate([sample.reshape(-1, sample.shape[-1]) for sample in samples])
+            rows = rows.astype(np.float64)
+            statistics[f'{name}_mean'] = rows.mean(axis=0).tolist()
+            statistics[f'{name}_std'] = rows.std(axis=0).tolist()
+    return statistics
+
+
+def mean_share(shares: Sequence[float], weights: Sequence[float]) -> float:
+    """Returns the mean of shares of energy, each weighted by its energy; 1 if there is none."""
+    total = float(np.sum(weights))
+    return float(np.dot(shares, weights)) / total if total > 0 else 1.0
 
 
 def _mean_floors(part: Sequence[EncodedRun]) -> list[float]:

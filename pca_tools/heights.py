@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pca_tools import packing
-from pca_tools.packed_runs import FRAME_STRIDE, PackedRuns, write_runs
+from pca_tools.packing import FRAME_STRIDE, PackedRuns, write_runs
 
 # Metres; heights are kept to half of it.
 RESOLUTION = 1e-4

@@ -27,7 +27,7 @@ import numpy as np
 from absl import flags
 from tqdm import tqdm
 
-from pca_tools import command, raw_writer
+from pca_tools import command, raw_runs
 from pca_tools.formats import authors, detect, full_space
 from pca_tools.metadata import AXES, RIGID_MOTIONS
 
@@ -68,7 +68,7 @@ def import_data(
         raise ValueError(f'{data.source}: does not say {", and ".join(lacking.values())}')
     data.notes += [note] if note else []
     runs = _scaled(full_space.raw_mappings(data, body), length_scale, force_scale)
-    raw_writer.write_raw(
+    raw_runs.write_raw(
         output_path, tqdm(runs, desc='import', unit='run'), data.dt, up_axis=up, body=body,
         bounds=bounds, name=name, check_units=check_units,
     )  # fmt: skip

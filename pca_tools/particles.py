@@ -15,7 +15,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from pca_tools.metadata import DIM
-from pca_tools.packed_runs import FRAME_STRIDE, PackedRuns, write_runs
+from pca_tools.packing import FRAME_STRIDE, PackedRuns, write_runs
 
 SAMPLE_SIZE = 600
 # Metres; positions are kept to half of it.

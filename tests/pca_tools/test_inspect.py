@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from pca_tools import convert, dataset, files, inspect, subset
-from pca_tools.inspect import ERROR, OK, WARN, inspect_folder, report
-from pca_tools.statistics import trivial_errors
+from pca_tools.inspect import ERROR, OK, WARN, inspect_folder, report, trivial_errors
 from pca_tools.subspace import Subspace
 from tests.pca_tools.commands import REPOSITORY, run_command
 from tests.pca_tools.synthetic import write_raw_folder

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from learning_to_simulate.scene import Scene
-from pca_tools import convert, dataset, files, raw_writer, write_raw
+from pca_tools import convert, dataset, files, raw_runs, write_raw
 from pca_tools.inspect import inspect_folder
 from pca_tools.raw_runs import RawRuns
 from tests.pca_tools import synthetic
@@ -130,14 +130,14 @@ def test_rehash_follows_files_that_were_changed_on_purpose(tmp_path):
     manifest = files.read_json(f'{raw}/manifest.json')
     manifest['runs'] = [{'file': entry['file']} for entry in manifest['runs']]
     files.write_json(f'{raw}/manifest.json', manifest)
-    assert len(raw_writer.rehash(raw)) == 5
+    assert len(raw_runs.rehash(raw)) == 5
     assert RawRuns(raw).cases == [1, 2, 9, 4, 5]  # the case is what the file says
     assert len(list(RawRuns(raw))) == 5
     with open(f'{raw}/run_004.npz', 'wb') as file:
         file.write(b'not a zip')
     kept = files.read_json(f'{raw}/manifest.json')
     with pytest.raises(ValueError, match='run_004.npz: is not a complete .npz'):
-        raw_writer.rehash(raw)
+        raw_runs.rehash(raw)
     assert files.read_json(f'{raw}/manifest.json') == kept
 
 
