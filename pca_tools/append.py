@@ -19,9 +19,11 @@ from typing import Any
 import numpy as np
 from absl import flags
 
-from pca_tools import command, convert, dataset, encode, files, heights, packing, particles
+from pca_tools import command, convert, dataset, encode, files, packing
 from pca_tools.encode import EncodedRun
+from pca_tools.heights import Grid, Heights, grid_faults
 from pca_tools.metadata import SPLITS
+from pca_tools.particles import ParticleSample
 from pca_tools.raw_runs import RawRuns, raise_faults
 from pca_tools.storage import folder_lock
 
@@ -49,11 +51,9 @@ def append(
         listed = files.check_manifest(data_path, ())
         held = encode.load(data_path)
         runs = RawRuns(raw_path)
-        if match_particles:
-            runs.match_particles(held.space.initial)
-        runs.check(check_units, held.space)
+        runs.check(check_units, held.space, match_particles)
         convert.refuse_other_scene(data_path, held.metadata, runs)
-        raise_faults(raw_path, heights.grid_faults(runs[0].grid, held.grid, data_path))
+        raise_faults(raw_path, grid_faults(runs[0].grid, held.grid, data_path))
         added = _encode_new(runs, held, data_path)
         together = held.with_parts(
             {split: [*held.parts.get(split, []), *added[split]] for split in SPLITS}, runs.world
@@ -72,7 +72,7 @@ def _encode_new(
 ) -> dict[str, list[EncodedRun]]:
     """Returns split -> the runs that the dataset does not hold; ValueError if there is none, one is
     held with other content, or they name no split."""
-    sample = particles.read_sample(data_path, next(iter(held.parts)))
+    sample = ParticleSample.read(data_path, next(iter(held.parts)))
     records = {convert.run_key(run.parameters): run for part in held.parts.values() for run in part}
     new, twice = [], {}
     for index, case in enumerate(runs.cases):
@@ -103,7 +103,7 @@ def _encode_new(
 
 
 def _are_equal(
-    made: EncodedRun, held: EncodedRun, sample: particles.ParticleSample, grid: heights.Grid | None
+    made: EncodedRun, held: EncodedRun, sample: ParticleSample, grid: Grid | None
 ) -> bool:
     """Whether two records are of one run. Packed records hold scores in whole steps and rigid
     particles as the pose puts them; everything else is kept bit for bit."""
@@ -113,7 +113,11 @@ def _are_equal(
     soils = [
         packing.unpack_steps(*run.sample, sample.rest, sample.resolution) for run in (made, held)
     ]
-    terrains = [heights.unpack(run.heights, grid) for run in (made, held) if grid and run.heights]
+    terrains = [
+        packing.unpack_steps(*run.heights, np.zeros(grid.shape), Heights.RESOLUTION)
+        for run in (made, held)
+        if grid and run.heights
+    ]
     return (
         np.array_equal(*soils)
         and (not terrains or np.array_equal(*terrains))

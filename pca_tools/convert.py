@@ -31,7 +31,6 @@ Examples:
 from __future__ import annotations
 
 import contextlib
-import functools
 import os
 import warnings
 from collections.abc import Sequence
@@ -39,7 +38,6 @@ from typing import Any
 
 import numpy as np
 from absl import flags
-from tqdm import tqdm
 
 from pca_tools import command, encode, files, particles, raw_runs, subspace, workers
 from pca_tools.metadata import SPLITS
@@ -93,9 +91,7 @@ def convert(
     encode.refuse_occupied_output(output_path, overwrite)
     runs = RawRuns(raw_path)
     base, space = (None, None) if like is None else encode.load_space(like)
-    if match_particles:
-        runs.match_particles(space and space.initial)
-    runs.check(check_units, space)
+    runs.check(check_units, space, match_particles)
     without_pose = runs[0].rigid_pose is None and runs[0].body_pose is None
     if without_pose and runs.scene['rigid_motion'] != 'none':
         warnings.warn(
@@ -110,13 +106,15 @@ def convert(
             wide = subspace.fit(
                 SoilPositions(runs, dealt['train'], frame_stride), modes, centering, max_memory_mb,
                 names=[str(runs.cases[index]) for index in dealt['train']],
-                progress=functools.partial(tqdm, unit='run'),
                 spare_modes=max(max(encode.FLOOR_MODES) - modes, 0), crew=crew,
             )  # fmt: skip
         space = wide.truncated(modes)
     else:
         refuse_other_scene(like, base, runs)
-        _refuse_trained_on(like, base, runs)
+        trained = {run_key(case) for case in base.get('cases', {}).get('train', [])}
+        parameters = ({**runs.parameters(i), 'case': case} for i, case in enumerate(runs.cases))
+        if known := [held['case'] for held in parameters if run_key(held) in trained]:
+            raise ValueError(f'{like}: was trained on the cases {known}; they are no test of it')
         every = range(len(runs))
         dealt = given_splits(runs, every, need_train=False) or {'test': every}
         wide = space
@@ -138,20 +136,9 @@ def given_splits(
     hold_out: Sequence[int | str] = (),
     need_train: bool = True,
 ) -> dict[str, list[int]] | None:
-    """Deals raw runs to the splits that their parameters name.
-
-    Args:
-        runs: the raw runs.
-        indices: which of them, ascending.
-        hold_out: case ids that go to test whatever they name.
-        need_train: whether there must be one in train.
-
-    Returns:
-        split -> indices of runs, ascending; None if no case names one.
-
-    Raises:
-        ValueError: unknown names or ids, some that name none, or none in train.
-    """
+    """Deals the raw runs `indices` (ascending) to the splits that their parameters name, cases of
+    `hold_out` to test: split -> indices, ascending; None if no case names one. ValueError: unknown
+    names or ids, some that name none, or none in train where one is needed."""
     named = {index: runs.parameters(index).get('split') for index in indices}
     if all(split is None for split in named.values()):
         return None
@@ -189,20 +176,10 @@ def split_cases(
     seed: int,
     hold_out: Sequence[int | str] = (),
 ) -> dict[str, list[int]]:
-    """Deals cases to the splits by seed, without replacement.
-
-    Args:
-        cases: case ids.
-        fractions: shares of train, valid and test, sum 1; each above 0 gets at least one case.
-        seed: of the draw.
-        hold_out: ids that go to test whatever the draw says; they count towards its share.
-
-    Returns:
-        split -> indices into `cases`, ascending.
-
-    Raises:
-        ValueError: shares that do not sum to 1, unknown ids, or too few cases.
-    """
+    """Deals cases to the splits by a seeded draw without replacement: split -> indices into
+    `cases`, ascending. `fractions` are the shares of train, valid and test, sum 1; each above 0
+    gets at least one case. Ids of `hold_out` go to test whatever the draw says, and count towards
+    its share. ValueError: other shares, unknown ids, or too few cases."""
     if len(fractions) != len(SPLITS) or min(fractions) < 0 or abs(sum(fractions) - 1.0) > 1e-6:
         raise ValueError(f'split {list(fractions)} must be {len(SPLITS)} shares that sum to 1')
     held = _known_ids(hold_out, cases)
@@ -248,17 +225,6 @@ def refuse_other_scene(like: str, base: dict[str, Any], runs: RawRuns) -> None:
             f'{sorted(new)}: errors of its models will include what changed between them',
             stacklevel=2,
         )
-
-
-def _refuse_trained_on(like: str, base: dict[str, Any], runs: RawRuns) -> None:
-    trained = {run_key(case) for case in base.get('cases', {}).get('train', [])}
-    known = [
-        case
-        for index, case in enumerate(runs.cases)
-        if run_key({**runs.parameters(index), 'case': case}) in trained
-    ]
-    if known:
-        raise ValueError(f'{like}: was trained on the cases {known}; they are no test of it')
 
 
 def run_key(parameters: dict[str, Any]) -> tuple[Any, str]:

@@ -15,7 +15,7 @@ import math
 import os
 import struct
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, Self
+from typing import ClassVar, Self
 
 import numpy as np
 
@@ -127,35 +127,6 @@ def _refuse_huge(n_frames: int, values: int) -> None:
         raise ValueError(f'packed numbers promise {n_frames} frames of {values}')
 
 
-def write_runs(
-    path: str,
-    packed: Sequence[tuple[bytes, int]],
-    rest: np.ndarray,
-    frame_stride: int,
-    resolution: float,
-    **own: Any,
-) -> None:
-    """Writes the packed runs of a split, in the order of its records.
-
-    Args:
-        path: of the file.
-        packed: bytes of `pack_steps` and number of frames F of each run.
-        rest, frame_stride, resolution: see `PackedRuns`.
-        **own: further arrays, `KINDS` of its reader.
-    """
-    blobs = [data for data, _ in packed]
-    files.write_npz(
-        path,
-        **own,
-        rest=np.asarray(rest, np.float64),
-        frames=np.array([count for _, count in packed], np.int32),
-        offsets=np.cumsum([0, *map(len, blobs)]),
-        data=np.frombuffer(b''.join(blobs), np.uint8),
-        frame_stride=frame_stride,
-        resolution=resolution,
-    )
-
-
 class PackedRuns(Sequence):
     """The series of a split, unpacked one run at a time: `runs[i]` is float64 [F, ...] in metres,
     frame `f * frame_stride` of record i, to within half of `resolution`.
@@ -166,9 +137,11 @@ class PackedRuns(Sequence):
         resolution: metres.
     """
 
-    # Of the files, of one of them in messages, and the arrays that it has beside the common ones.
+    # Of the files, of one of them in messages, metres of a step of ours, and the arrays that it has
+    # beside the common ones.
     NAME: ClassVar[str]
     TITLE: ClassVar[str]
+    RESOLUTION: ClassVar[float]
     KINDS: ClassVar[Mapping[str, tuple[str, int]]]
 
     @classmethod
@@ -176,13 +149,41 @@ class PackedRuns(Sequence):
         return os.path.join(folder, f'{cls.NAME}_{split}.npz')
 
     @classmethod
-    def read(cls, folder: str, split: str) -> Self:
-        """Opens the file of a split of a dataset.
+    def pack(cls, values: np.ndarray, rest: np.ndarray) -> tuple[bytes, int]:
+        """Packs the kept frames of a run [T, ...], m; returns bytes and their number."""
+        kept = values[::FRAME_STRIDE]
+        return pack_steps(kept, rest, cls.RESOLUTION), len(kept)
 
-        Raises:
-            FileNotFoundError: the dataset has none (those made before there were any).
-            ValueError: it is damaged, or not the one in the manifest.
-        """
+    @classmethod
+    def write(
+        cls,
+        folder: str,
+        split: str,
+        packed: Sequence[tuple[bytes, int]],
+        rest: np.ndarray,
+        frame_stride: int = FRAME_STRIDE,
+        resolution: float | None = None,
+        **own: np.ndarray,
+    ) -> str:
+        """Writes the packed runs of a split, in the order of its records, and their `own` arrays,
+        those of `KINDS`; returns the name of the file."""
+        path, blobs = cls.path_of(folder, split), [data for data, _ in packed]
+        files.write_npz(
+            path,
+            **own,
+            rest=np.asarray(rest, np.float64),
+            frames=np.array([count for _, count in packed], np.int32),
+            offsets=np.cumsum([0, *map(len, blobs)]),
+            data=np.frombuffer(b''.join(blobs), np.uint8),
+            frame_stride=frame_stride,
+            resolution=resolution or cls.RESOLUTION,
+        )
+        return os.path.basename(path)
+
+    @classmethod
+    def read(cls, folder: str, split: str) -> Self:
+        """Opens the file of a split of a dataset. FileNotFoundError: the dataset has none (those
+        made before there were any). ValueError: it is damaged, or not the one in the manifest."""
         path = cls.path_of(folder, split)
         if not os.path.exists(path):
             raise FileNotFoundError(
@@ -193,7 +194,7 @@ class PackedRuns(Sequence):
         return cls(path)
 
     def __init__(self, path: str):
-        """Reads a file of `write_runs`; nothing is unpacked yet. ValueError: damaged or foreign."""
+        """Reads a file of `write`; nothing is unpacked yet. ValueError: damaged or foreign."""
         arrays = files.read_npz(path)
         for name, (kind, ndim) in {**_KINDS, **self.KINDS}.items():
             array = arrays.get(name)
@@ -229,7 +230,7 @@ class PackedRuns(Sequence):
         return len(self._frames)
 
     def packed(self, index: int) -> tuple[bytes, int]:
-        """Returns what `write_runs` takes for one run: its bytes and its number of frames."""
+        """Returns what `write` takes for one run: its bytes and its number of frames."""
         index = range(len(self))[index]
         data = self._data[self._offsets[index] : self._offsets[index + 1]].tobytes()
         return data, int(self._frames[index])

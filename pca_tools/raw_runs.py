@@ -14,7 +14,7 @@ import json
 import math
 import os
 import warnings
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -71,12 +71,8 @@ class RawRuns(Sequence):
     """The finished runs of a raw folder, opened one at a time."""
 
     def __init__(self, folder: str):
-        """Reads the manifest.
-
-        Raises:
-            FileNotFoundError: the folder or its manifest is missing.
-            ValueError: the manifest is not one of raw runs; all of its faults are listed.
-        """
+        """Reads the manifest. FileNotFoundError: the folder or its manifest is missing. ValueError:
+        it is not one of raw runs; all of its faults are listed."""
         self.folder = folder
         path = os.path.join(folder, files.MANIFEST_NAME)
         if not os.path.isdir(folder):
@@ -99,9 +95,6 @@ class RawRuns(Sequence):
 
     def __len__(self) -> int:
         return len(self._entries)
-
-    def __iter__(self) -> Iterator[RawRun]:
-        return (self[index] for index in range(len(self)))
 
     def __getitem__(self, index: int) -> RawRun:  # type: ignore[override]
         """Opens run `index`; ValueError, with file, frame and point: it differs from the manifest,
@@ -148,30 +141,28 @@ class RawRuns(Sequence):
         parameters, context = _read_context(arrays, self.scene)
         return RawRun(case=case, context=context, parameters=parameters, **series)
 
-    def match_particles(self, reference: np.ndarray | None = None) -> None:
-        """Lets all runs list their particles in one order: each goes with its nearest neighbour in
-        `reference` [N, 3] (m), default frame 0 of the first run."""
-        self._reference = self[0].positions[0] if reference is None else reference
-
     def parameters(self, index: int) -> dict[str, Any]:
         """Returns the parameters of run `index`, from the manifest where it lists them."""
         listed = self._entries[index].get('parameters')
         return listed if isinstance(listed, dict) else self[index].parameters
 
-    def check(self, check_units: bool = True, space: Subspace | None = None) -> None:
-        """Opens every run and refuses the folder with all that is wrong with it.
+    def check(
+        self,
+        check_units: bool = True,
+        space: Subspace | None = None,
+        match_particles: bool = False,
+    ) -> None:
+        """Opens every run and refuses the folder with all that is wrong with any, in one
+        ValueError.
 
-        A scene that does not say which axis points up gets the one that gravity or the bounds tell,
-        with a warning.
-
-        Args:
-            check_units: whether positions and dt must be plausible in metres and seconds.
-            space: whose particles the runs must have, in its order; default: those of the first.
-
-        Raises:
-            ValueError: faults of any run, or no telling which axis points up.
-        """
+        Positions and dt must be plausible in metres and seconds if `check_units`. The runs must
+        have the particles of `space`, in its order, by default those of the first run; with
+        `match_particles` each goes with its nearest neighbour there in frame 0 from now on. A scene
+        that does not say which axis points up gets the one that gravity or the bounds tell, with a
+        warning."""
         extent, faults = Extent(), []
+        if match_particles:
+            self._reference = space.initial if space else self[0].positions[0]
         reference = space and (space.initial, f'case {space.runs[0]}')
         for index in tqdm(range(len(self)), desc='check', unit='run'):
             try:
@@ -400,13 +391,9 @@ def _unit_guess(ratio: float) -> str:
 
 
 def infer_up_axis(extent: Extent, bounds: Any, gravity: Any = None) -> tuple[int | None, str]:
-    """Finds the axis against gravity.
-
-    Returns:
-        The axis or None, and what says so: the gravity vector, if the runs state one; or that the
-        soil lies at the bottom of the bounds ([[low, high]] * 3), with free space above it, on that
-        axis much more than on the others.
-    """
+    """Finds the axis against gravity, or None, and what says so: the gravity vector, if the runs
+    state one; or that the soil lies at the bottom of the bounds ([[low, high]] * 3), with free
+    space above it, on that axis much more than on the others."""
     if isinstance(gravity, list) and len(gravity) == DIM and all(map(metadata.is_number, gravity)):
         if not any(gravity):
             return None, 'gravity is zero'
@@ -587,19 +574,13 @@ def _entry(folder: str, listed: dict[str, Any], parameters: str) -> dict[str, An
 
 
 def rehash(folder: str) -> list[str]:
-    """Lets the manifest of a raw folder follow its files; files are read, never changed.
+    """Lets the manifest of a raw folder follow its files, which are read, never changed; returns
+    the names of those whose entries changed.
 
     Bytes, sha256 and parameters of every listed run become those of its file; a case id that is
     missing becomes that of the parameters, else the name of the file. The manifest may list runs by
-    `file` alone.
-
-    Returns:
-        names of the files whose entries changed.
-
-    Raises:
-        FileNotFoundError: there is no manifest.
-        ValueError: all faults of the manifest and of the files; nothing was changed.
-    """
+    `file` alone. FileNotFoundError: there is none. ValueError: all faults of the manifest and of
+    the files; nothing was changed."""
     path = os.path.join(folder, files.MANIFEST_NAME)
     manifest = files.read_json(path)
     runs = manifest.get('runs') if isinstance(manifest, dict) else None

@@ -18,6 +18,7 @@ import warnings
 from collections.abc import Sequence
 
 import numpy as np
+from tqdm import tqdm
 
 from pca_tools import files
 from pca_tools.metadata import DIM, non_finite
@@ -144,12 +145,8 @@ class Subspace:
 
     @classmethod
     def load(cls, path: str) -> Subspace:
-        """Reads a subspace written by `save`.
-
-        Raises:
-            FileNotFoundError: there is no such file.
-            ValueError: damaged or foreign file, arrays that do not fit, or a digest that disagrees.
-        """
+        """Reads a subspace written by `save`. FileNotFoundError: there is no such file. ValueError:
+        damaged or foreign file, arrays that do not fit, or a digest that disagrees."""
         arrays = files.read_npz(path)
         names = {field.name for field in dataclasses.fields(cls)}
         if missing := (names | {'digest'}) - arrays.keys():
@@ -193,7 +190,6 @@ def fit(
     centering: str = 'configuration',
     max_memory_mb: float = 1024.0,
     names: Sequence[str] | None = None,
-    progress=lambda sequence, label: sequence,
     spare_modes: int = 0,
     crew=None,
 ) -> Subspace:
@@ -210,7 +206,6 @@ def fit(
         centering: `configuration` (mean position of each particle) or `scalar` (one number).
         max_memory_mb: largest memory of the fit in MiB, beside one run.
         names: names of the runs, for messages and the record; default 0, 1, ...
-        progress: wraps a pass over the runs, called with the sequence and a label.
         spare_modes: further modes to keep where the data have them, to measure what they would
             bring; `Subspace.truncated` drops them.
         crew: `pca_tools.workers.Workers` that sum up the covariance, in parts; runs must then have
@@ -227,7 +222,7 @@ def fit(
     names = tuple(str(index) for index in range(len(runs))) if names is None else tuple(names)
     if len(names) != len(runs):
         raise ValueError(f'{len(names)} names were given for {len(runs)} runs')
-    mean, n_rows, largest = _mean_configuration(runs, names, centering, progress)
+    mean, n_rows, largest = _mean_configuration(runs, names, centering)
     n_soil = len(mean) if mean.ndim else runs[0].shape[1]
     limit = min(n_rows, n_soil)
     if n_modes > limit:
@@ -238,10 +233,10 @@ def fit(
     length = min(max(SPECTRUM_LENGTH, n_modes + spare_modes + 1), limit)
     budget = max_memory_mb * 2**20
     if SVD_COPIES * 8 * n_rows * n_soil <= budget:
-        values, vectors, energy = _decompose_matrix(runs, mean, length, progress)
+        values, vectors, energy = _decompose_matrix(runs, mean, length)
         noise = max(n_rows, n_soil) * np.finfo(np.float64).eps
     elif COVARIANCE_COPIES * 8 * n_soil**2 <= budget:
-        values, vectors, energy = _decompose_covariance(runs, mean, n_soil, length, progress, crew)
+        values, vectors, energy = _decompose_covariance(runs, mean, n_soil, length, crew)
         noise = np.sqrt(n_soil * np.finfo(np.float64).eps)
     else:
         needed = COVARIANCE_COPIES * 8 * n_soil**2 / 2**20
@@ -274,11 +269,11 @@ def fit(
     return subspace
 
 
-def _mean_configuration(runs, names, centering, progress) -> tuple[np.ndarray, int, float]:
+def _mean_configuration(runs, names, centering) -> tuple[np.ndarray, int, float]:
     """Returns the mean ([N, 3] or []), the number of rows and the largest coordinate in magnitude;
     refuses runs that cannot be fitted."""
     total, frames, n_soil, largest = 0.0, 0, None, 0.0
-    for name, run in zip(names, progress(runs, 'mean')):
+    for name, run in zip(names, tqdm(runs, 'mean', unit='run')):
         if run.ndim != 3 or run.shape[2] != DIM or run.shape[1] == 0:
             raise ValueError(
                 f'run {name}: positions have shape {run.shape}, [T, N, 3] was expected'
@@ -308,9 +303,9 @@ def _rows(run: np.ndarray, mean: np.ndarray) -> np.ndarray:
     )
 
 
-def _decompose_matrix(runs, mean, length, progress):
+def _decompose_matrix(runs, mean, length):
     """Returns singular values [S], vectors [N, S] and total energy from the whole matrix."""
-    matrix = np.concatenate([_rows(run, mean) for run in progress(runs, 'matrix')])
+    matrix = np.concatenate([_rows(run, mean) for run in tqdm(runs, 'matrix', unit='run')])
     energy = float(np.sum(matrix**2))
     if energy == 0.0:
         return np.zeros(length), np.zeros((matrix.shape[1], length)), energy
@@ -327,14 +322,14 @@ def _decompose_matrix(runs, mean, length, progress):
     return values[:length], vectors[:length].T, energy
 
 
-def _decompose_covariance(runs, mean, n_soil, length, progress, crew=None):
+def _decompose_covariance(runs, mean, n_soil, length, crew=None):
     """Returns singular values [S], vectors [N, S] and total energy from the summed covariance."""
     from scipy import linalg  # as slow to load as numpy, and whoever only reads modes needs it not
 
     if crew is None:
-        covariance = sum_covariance((progress(runs, 'covariance'), mean, n_soil))
+        covariance = sum_covariance((tqdm(runs, 'covariance', unit='run'), mean, n_soil))
     else:
-        covariance = _sum_in_parts(crew, runs, mean, n_soil, progress)
+        covariance = _sum_in_parts(crew, runs, mean, n_soil)
     energy = float(np.trace(covariance))
     values, vectors = linalg.eigh(
         covariance, lower=False, overwrite_a=True, check_finite=False,
@@ -355,14 +350,14 @@ def sum_covariance(part: tuple) -> np.ndarray:
     return covariance
 
 
-def _sum_in_parts(crew, runs, mean, n_soil, progress) -> np.ndarray:
+def _sum_in_parts(crew, runs, mean, n_soil) -> np.ndarray:
     """Sums covariances on workers, each a part of the runs. The parts do not depend on the number
     of workers and are added in their order, so neither does the sum."""
     starts = range(0, len(runs), RUNS_PER_TASK)
     parts = [(runs.part(start, start + RUNS_PER_TASK), mean, n_soil) for start in starts]
     total, early = np.zeros((n_soil, n_soil), order='F'), {}
     added = 0
-    for outcome in progress(crew.run(sum_covariance, parts), 'covariance, parts'):
+    for outcome in tqdm(crew.run(sum_covariance, parts), 'covariance, parts', len(parts)):
         if outcome.error is not None:
             raise ValueError(f'covariance of part {outcome.index}: {outcome.error}')
         early[outcome.index] = outcome.value

@@ -39,17 +39,9 @@ def write_points(
     point_data: Mapping[str, np.ndarray],
     field_data: Mapping[str, np.ndarray],
 ) -> None:
-    """Writes a point cloud as `.vtp`.
-
-    Args:
-        path: the file.
-        points: [P, 3] m.
-        point_data: name -> [P] or [P, k] values of the points.
-        field_data: name -> [k] values of the whole cloud.
-
-    Raises:
-        ValueError: an array of the wrong length, or of a type that VTK does not have.
-    """
+    """Writes points [P, 3] (m) as `.vtp`, with values [P] or [P, k] of the points and [k] of the
+    whole cloud by name. ValueError: an array of the wrong length, or of a type that VTK does not
+    have."""
     points = np.asarray(points)
     if points.ndim != 2 or points.shape[1] != 3:
         raise ValueError(f'{path}: points have shape {points.shape}, [P, 3] was expected')
@@ -115,15 +107,9 @@ def _array(name: str, values: np.ndarray, attributes: str = '') -> str:
 
 
 def read_points(path: str) -> tuple[np.ndarray, dict[str, np.ndarray], dict[str, np.ndarray]]:
-    """Reads a `.vtp`; the counterpart of `write_points`.
-
-    Returns:
-        points [P, 3], point data and field data by name.
-
-    Raises:
-        ModuleNotFoundError: the package `vtk` is not installed.
-        ValueError: damaged file, or one without points.
-    """
+    """Reads a `.vtp`: points [P, 3], point data and field data by name, as `write_points` takes
+    them. ModuleNotFoundError: the package `vtk` is not installed. ValueError: damaged, or no
+    points."""
     try:
         import vtk
         from vtk.util.numpy_support import vtk_to_numpy
