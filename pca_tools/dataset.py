@@ -279,15 +279,9 @@ def series_fault(
 
 
 def write_split(path: str, trajectories: Sequence[Trajectory], packed: bool = False) -> int:
-    """Writes runs as a TFRecord file, packed or plain (see above), whole or not at all.
-
-    Returns:
-        The number of records.
-
-    Raises:
-        ValueError: shapes that do not fit each other, or NaN.
-        OSError: the file could not be written.
-    """
+    """Writes runs as a TFRecord file, packed or plain (see above), whole or not at all; returns
+    their number. ValueError: shapes that do not fit each other, or NaN. OSError: it cannot be
+    written."""
     records = []
     for index, run in enumerate(trajectories):
         if problems := _series_problems(run):

@@ -35,11 +35,8 @@ _REQUIRED = (
 
 def read_metadata(folder: str) -> dict[str, Any]:
     """Returns the checked metadata of a dataset folder, ours or the authors', as written.
-
-    Raises:
-        FileNotFoundError: the folder or the file is missing.
-        ValueError: not JSON, or keys and values that are not as expected, all of them listed.
-    """
+    FileNotFoundError: the folder or the file is missing. ValueError: not JSON, or keys and values
+    that are not as expected, all of them listed."""
     path, what = os.path.join(folder, METADATA_NAME), f'`lts import {folder}` says what it is'
     if not os.path.isdir(folder):
         raise FileNotFoundError(f'{folder}: no such dataset folder')

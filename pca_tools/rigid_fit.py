@@ -57,12 +57,9 @@ def fit_rigid_motion(source: np.ndarray, target: np.ndarray) -> RigidMotion:
 
 
 def placed(shape: np.ndarray, poses: np.ndarray) -> np.ndarray:
-    """Places points of a body, x = p + R(q) s (Euler-Rodrigues): float64 [T, R, 3], m.
-
-    Args:
-        shape: [R, 3] s, places on the upright body from its reference point, m.
-        poses: [T, 7] position p (m) and quaternion q (w, x, y, z).
-    """
+    """Places points of a body, x = p + R(q) s (Euler-Rodrigues): float64 [T, R, 3], m, of `shape`
+    [R, 3] s, places on the upright body from its reference point (m), and `poses` [T, 7], position
+    p (m) and quaternion q (w, x, y, z)."""
     poses = np.asarray(poses, np.float64)
     return poses[:, None, :3] + _turned(np.asarray(shape, np.float64)[None], poses[:, 3:])
 

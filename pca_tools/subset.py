@@ -32,24 +32,12 @@ def subset(
     overwrite: bool = False,
     every_split: bool = False,
 ) -> dict[str, Any]:
-    """Writes a dataset with fewer training runs.
+    """Writes a dataset with fewer training runs: `train_runs` of them (0: all) of some kinds (none:
+    all), spread over all; valid and test, too, hold these kinds alone with `every_split`.
 
-    Args:
-        data_path: a dataset of `convert` with a particle sample.
-        output_path: the smaller one.
-        train_runs: how many, spread over those of the kinds; 0: all of them.
-        kinds: of training runs; none: all.
-        overwrite: replace a finished dataset.
-        every_split: valid and test, too, hold these kinds alone, all runs of them.
-
-    Returns:
-        Its metadata.
-
-    Raises:
-        FileNotFoundError: a file is missing.
-        ValueError: no training runs, a kind or a number of runs that the dataset does not have; a
-            split without any, or no kinds, with `every_split`; an output that is occupied.
-    """
+    Returns its metadata. FileNotFoundError: a file is missing. ValueError: a dataset without a
+    particle sample or training runs, a kind or a number of runs that it does not have; a split
+    without any, or no kinds, with `every_split`; an output that is occupied."""
     if every_split and not kinds:
         raise ValueError('every_split keeps some kinds of runs alone, but no kinds were named')
     encode.refuse_occupied_output(output_path, overwrite)

@@ -145,12 +145,8 @@ def read_records(path: str) -> Iterator[SequenceRecord]:
 
 
 def parse_sequence_example(data: bytes, where: str) -> SequenceRecord:
-    """Parses one serialised SequenceExample.
-
-    Raises:
-        ValueError: the message is foreign or lacks a feature of the schema; `where` names file and
-            record.
-    """
+    """Parses one serialised SequenceExample. ValueError, with `where`, which names file and record:
+    it is foreign or lacks a feature of the schema."""
     tf = _tensorflow()
     from google.protobuf.message import DecodeError
 
@@ -199,12 +195,8 @@ def serialise_sequence_example(record: SequenceRecord) -> bytes:
 
 
 def write_records(path: str, records: Iterable[SequenceRecord]) -> int:
-    """Writes a TFRecord file whole or not at all and returns the number of records.
-
-    Raises:
-        OSError: the file could not be written (for instance a full disk); nothing is left under its
-            name.
-    """
+    """Writes a TFRecord file whole or not at all and returns the number of records. OSError: it
+    could not be written (for instance a full disk); nothing is left under its name."""
     tf = _tensorflow()
     count = 0
 

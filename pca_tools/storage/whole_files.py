@@ -38,14 +38,8 @@ def _stem(name: str) -> str:
 
 def write_atomically(path: str, write: Callable[[str], None]) -> None:
     """Writes a file under a temporary name and moves it into place only when it is complete.
-
-    Args:
-        path: final name; its folder must exist.
-        write: called with the temporary name, an empty file in the same folder, which it writes.
-
-    Raises:
-        OSError: with the path, if the folder is missing or full; an older file stays.
-    """
+    `write` is called with the temporary name, an empty file in the same folder, which must exist.
+    OSError, with the path: the folder is missing or full; an older file stays."""
     path = os.path.abspath(path)
     _check_name(path)
     temporary = temporary_beside(path)
@@ -140,18 +134,12 @@ def _temporary_folder(beside: str) -> Iterator[str]:
 def replace_files(
     folder: str, fill: Callable[[str], None], is_old: Callable[[str], bool], last: str
 ) -> None:
-    """Replaces a set of files in a folder that keeps its other ones; the folder's one writer calls.
+    """Replaces the files of a folder whose names are `is_old`, and keeps its other ones; the
+    folder's one writer calls. `fill` is called with a temporary folder, which it fills with files.
 
-    Nothing changes before all new files are complete. From then on `last` is absent until the set
-    is whole again, so a set with it is never mixed. OSError: one could not be written, the old set
-    stays.
-
-    Args:
-        folder: present.
-        fill: called with a temporary folder, which it fills with files.
-        is_old: whether a name belongs to the set.
-        last: the file of the set that says that the others are there.
-    """
+    Nothing changes before all new files are complete. From then on `last`, one of the set, is
+    absent until the set is whole again, so a set with it is never mixed. OSError: one could not be
+    written, the old set stays."""
     for name in os.listdir(folder):  # of writers that were killed
         if name.startswith(_stem(last)) and name.endswith(TEMPORARY):
             shutil.rmtree(os.path.join(folder, name), ignore_errors=True)
