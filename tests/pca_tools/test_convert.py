@@ -9,7 +9,6 @@ import pytest
 from pca_tools import append, convert, dataset, files, particles, subset
 from pca_tools.inspect import inspect_folder
 from pca_tools.metadata import SPLITS
-from pca_tools.raw_runs import RawRuns
 from pca_tools.subspace import Subspace
 from tests.pca_tools import synthetic
 from tests.pca_tools.commands import run_command
@@ -285,29 +284,6 @@ def test_conversion_says_what_cannot_be_trained_without_a_pose(tmp_path):
     run = dataset.read_split(str(tmp_path / 'out'), 'train')[0]
     body = raw_of(raw, metadata['dataset_split']['train'][0])['rigid_positions']
     np.testing.assert_array_equal(run.position[:, :20], body)
-
-
-def test_raw_folder_against_its_manifest(tmp_path):
-    with pytest.raises(FileNotFoundError, match='manifest.json'):
-        RawRuns(str(tmp_path))
-    raw = write_raw_folder(tmp_path / 'raw', 'excavation', [1, 2])
-    with open(f'{raw}/run_002.npz', 'rb+') as file:
-        file.truncate(os.path.getsize(file.name) - 100)
-    with pytest.raises(ValueError, match='run_002.npz: differs from the manifest'):
-        list(RawRuns(raw))
-    os.remove(f'{raw}/run_002.npz')
-    with pytest.raises(FileNotFoundError, match='run_002.npz'):
-        list(RawRuns(raw))
-    manifest = files.read_json(f'{raw}/manifest.json')
-    for change, text in (
-        ({'runs': []}, 'lists no runs'),
-        ({'runs': manifest['runs'][:1] * 2}, r'lists the cases \[1\] more than once'),
-        ({'scene': {'name': 'x'}}, 'lacks .*rigid_motion'),
-        ({'runs': [{'file': 'run_001.npz', 'case': 1}]}, 'a run is listed as .*sha256'),
-    ):
-        files.write_json(f'{raw}/manifest.json', {**manifest, **change})
-        with pytest.raises(ValueError, match=text):
-            RawRuns(raw)
 
 
 @pytest.mark.parametrize(

@@ -43,7 +43,7 @@ def test_every_input_is_run_once_by_several_processes(crew):
     assert [square for _, square in found] == [n**2 for n in range(12)]
     pids = {pid for pid, _ in found}
     assert len(pids) == 2 and os.getpid() not in pids
-    again = [outcome.value for outcome in values(crew, jobs.square, [3, 3, 3])]
+    again = [outcome.value[1] for outcome in values(crew, jobs.who_and_square, [3, 3, 3])]
     assert again == [9, 9, 9]  # equal inputs are tasks of their own
 
 
