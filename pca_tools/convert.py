@@ -115,7 +115,7 @@ def convert(
         parameters = ({**runs.parameters(i), 'case': case} for i, case in enumerate(runs.cases))
         if known := [held['case'] for held in parameters if run_key(held) in trained]:
             raise ValueError(f'{like}: was trained on the cases {known}; they are no test of it')
-        every = range(len(runs))
+        every = list(range(len(runs)))
         dealt = given_splits(runs, every, need_train=False) or {'test': every}
         wide = space
     sampled = particles.choose_particles(space.initial)

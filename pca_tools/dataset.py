@@ -119,15 +119,11 @@ def read_split(folder: str, split: str) -> list[Trajectory]:
     trajectories = read_records_as_trajectories(path)
     if _identity(path) != before:
         raise ValueError(f'{path}: the file was replaced while it was read; read it again')
-    if entries is not None:
-        expected = entries[os.path.basename(path)].get('records')
-        if expected is not None and expected != len(trajectories):
-            raise ValueError(
-                f'{path}: has {len(trajectories)} records, the manifest says {expected}'
-            )
+    entry = (entries or {}).get(os.path.basename(path), {})
+    if (expected := entry.get('records', len(trajectories))) != len(trajectories):
+        raise ValueError(f'{path}: has {len(trajectories)} records, the manifest says {expected}')
     for index, trajectory in enumerate(trajectories):
-        problems = trajectory_problems(trajectory, metadata)
-        if problems:
+        if problems := trajectory_problems(trajectory, metadata):
             raise ValueError(f'{path}: record {index}: ' + '; '.join(problems))
     return trajectories
 

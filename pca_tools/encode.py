@@ -159,9 +159,8 @@ def load(data_path: str) -> Contents:
         sample = ParticleSample.read(data_path, split)
         floors = metadata['projection_floors']
         by_modes = dict(zip(floors['modes'], floors[split]))
-        terrain = None
-        if Heights.path_of('', split) in listed:
-            terrain = Heights.read(data_path, split)
+        has_heights = Heights.path_of('', split) in listed
+        terrain = Heights.read(data_path, split) if has_heights else None
         grids[split] = terrain and terrain.grid
         parts[split] = [
             EncodedRun(

@@ -21,7 +21,7 @@ from pca_tools.formats import full_space
 from pca_tools.import_data import explain, import_data
 from pca_tools.raw_runs import RawRuns
 from tests.pca_tools import synthetic
-from tests.pca_tools.commands import REPOSITORY, run_command
+from tests.pca_tools.commands import REPOSITORY, call_command
 
 LENNARD_JONES = REPOSITORY / 'tests' / 'data' / 'lagrangebench_3d_lj'
 FORMATS = ('deepmind', 'geoelements', 'lagrangebench', 'mpm_ngf', 'npz', 'vtp')
@@ -249,7 +249,7 @@ def test_folders_are_named_wherever_they_are_met(exports, excavation, raw_excava
         with pytest.raises((ValueError, FileNotFoundError), match='`lts import .* says what'):
             dataset.read_metadata(str(exports(name)))
         assert text in explain(str(exports(name)))
-    done = run_command('pca_tools.import_data', str(exports('mpm_ngf')))
+    done = call_command('pca_tools.import_data', str(exports('mpm_ngf')))
     assert done.returncode == 0 and done.stdout.endswith('--output_path=RAW --dt=SECONDS\n')
     for folder, text in (
         (raw_excavation, 'raw runs already'),

@@ -11,7 +11,7 @@ import pytest
 from pca_tools import convert, dataset, files, inspect, subset
 from pca_tools.inspect import ERROR, OK, WARN, inspect_folder, report, trivial_errors
 from pca_tools.subspace import Subspace
-from tests.pca_tools.commands import REPOSITORY, run_command
+from tests.pca_tools.commands import REPOSITORY, call_command
 from tests.pca_tools.synthetic import write_raw_folder
 
 
@@ -93,7 +93,7 @@ def test_authors_folders_pass_with_their_defects_named(original):
 def test_exit_codes(excavation, tmp_path, capsys):
     assert inspect.main(None, [excavation]) == 0
     assert '0 ERROR' in capsys.readouterr().out
-    bad = run_command('pca_tools.inspect', str(tmp_path))
+    bad = call_command('pca_tools.inspect', str(tmp_path))
     assert bad.returncode == 1 and 'metadata.json: no such file' in bad.stdout
 
 

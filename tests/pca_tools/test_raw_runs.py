@@ -15,7 +15,7 @@ from pca_tools import convert, dataset, files, raw_runs, write_raw
 from pca_tools.inspect import inspect_folder
 from pca_tools.raw_runs import RawRuns
 from tests.pca_tools import synthetic
-from tests.pca_tools.commands import REPOSITORY, run_command
+from tests.pca_tools.commands import REPOSITORY, call_command
 
 DT = 1 / 60
 
@@ -40,7 +40,7 @@ def test_script_of_the_page_becomes_a_dataset(tmp_path):
     environment = os.environ | {'PYTHONPATH': str(REPOSITORY)}
     subprocess.run([sys.executable, '-c', script], cwd=tmp_path, env=environment, check=True)
     raw, out = str(tmp_path / 'raw/own'), str(tmp_path / 'own_data')
-    done = run_command('pca_tools.convert', f'--raw_path={raw}', f'--output_path={out}')
+    done = call_command('pca_tools.convert', f'--raw_path={raw}', f'--output_path={out}')
     assert done.returncode == 0, done.stderr
     metadata = dataset.read_metadata(out)
     assert (metadata['n_soil'], metadata['particles_rigid']) == (400, 9)
@@ -137,7 +137,7 @@ def test_rehash_follows_files_that_were_changed_on_purpose(tmp_path):
     with pytest.raises(ValueError, match=r'run_003.npz: differs.*--rehash'):
         convert.convert(raw, str(tmp_path / 'out'))
     before = {name: os.stat(f'{raw}/{name}').st_mtime_ns for name in os.listdir(raw)}
-    done = run_command('pca_tools.convert', '--rehash', f'--raw_path={raw}')
+    done = call_command('pca_tools.convert', '--rehash', f'--raw_path={raw}')
     assert done.returncode == 0 and 'new entries for 1 files' in done.stdout, done.stderr
     changed = {n for n in os.listdir(raw) if os.stat(f'{raw}/{n}').st_mtime_ns != before[n]}
     assert changed == {'manifest.json'}
