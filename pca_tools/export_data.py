@@ -118,8 +118,11 @@ def _records(data_path: str, metadata: dict[str, Any], splits: Sequence[str]) ->
             cases = metadata.get('dataset_split', {}).get(split, [])
             for index, run in enumerate(dataset.read_split(data_path, split)):
                 case = cases[index] if index < len(cases) else index
+                name = f'{split}_{case}'
+                if os.path.basename(name) != name:  # it becomes one, and points out of the folder
+                    raise ValueError(f'{data_path}: case {case!r} cannot name a file')
                 series = {'force': run.force, 'context': run.step_context}
-                yield f'{split}_{case}', split, case, run.position, run.particle_type, series
+                yield name, split, case, run.position, run.particle_type, series
 
 
 def _rollout_paths(path: str) -> list[str]:

@@ -367,6 +367,17 @@ def test_decoded_and_thinned_exports_and_rollouts(excavation, tmp_path):
         export_data(excavation, str(tmp_path / 'dm'), 'npz')
 
 
+def test_cases_that_point_out_of_the_folder_are_refused(excavation, tmp_path):
+    data = str(shutil.copytree(excavation, tmp_path / 'data'))
+    metadata = files.read_json(f'{data}/metadata.json')
+    metadata['dataset_split']['test'] = ['a/../../../outside']
+    files.write_json(f'{data}/metadata.json', metadata)
+    os.remove(f'{data}/manifest.json')
+    with pytest.raises(ValueError, match="data: case 'a/../../../outside' cannot name a file"):
+        export_data(data, str(tmp_path / 'out'), 'mpm_ngf', splits=['test'])
+    assert os.listdir(tmp_path) == ['data']
+
+
 def test_the_authors_folder_becomes_a_dataset(original, tmp_path):
     text = import_data(original, str(tmp_path / 'out'), body='predicted')
     assert 'a dataset of' in text and 'scores cannot be decoded' in text
