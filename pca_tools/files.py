@@ -170,8 +170,6 @@ def _read_array(file: Any, size: int) -> np.ndarray:
         raise ValueError(
             f'its header says {shape} x {dtype} = {promised} bytes but it holds {held}'
         )
-    if held > MAX_BYTES:
-        raise ValueError(f'its header says {held} bytes, more than the limit of {MAX_BYTES}')
     data = file.read(held + 1)  # one more, for the end: an archive checks its checksum there
     if len(data) != held:
         raise ValueError(f'it holds {len(data)} bytes, {held} were expected')

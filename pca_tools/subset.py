@@ -7,9 +7,6 @@ so errors of both are of one truth.
 Examples:
     python -m pca_tools.subset --data_path=datasets/excavation --train_runs=28 --output_path=few
     python -m pca_tools.subset --data_path=datasets/excavation --kinds=grid --output_path=grid
-
-    # judged on these kinds alone, too
-    python -m pca_tools.subset --data_path=whole --kinds=grid --every_split --output_path=grid_only
 """
 
 from __future__ import annotations
@@ -92,15 +89,13 @@ def define_flags() -> None:
     flags.DEFINE_string('output_path', None, 'Folder of the smaller dataset.', required=True)
     flags.DEFINE_integer('train_runs', 0, 'Training runs, spread over all; 0: all.', lower_bound=0)
     flags.DEFINE_list('kinds', [], 'Kinds of training runs; default: all.')
-    flags.DEFINE_bool('every_split', False, 'Only these kinds in valid and test, too.')
     flags.DEFINE_bool('overwrite', False, 'Replace a finished dataset.')
 
 
 def main(values) -> None:
     metadata = subset(
-        values.data_path, values.output_path, values.train_runs, values.kinds,
-        values.overwrite, values.every_split,
-    )  # fmt: skip
+        values.data_path, values.output_path, values.train_runs, values.kinds, values.overwrite
+    )
     print(convert.summary(metadata, values.output_path))
 
 
