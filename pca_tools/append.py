@@ -32,19 +32,14 @@ def append(
     raw_path: str, data_path: str, check_units: bool = True, match_particles: bool = False
 ) -> dict[str, Any]:
     """Adds the runs of a raw folder, of the same scene and packing, all of which name a split, to a
-    dataset of `convert` with a particle sample.
+    dataset of `convert` with a particle sample. Returns the metadata of the larger dataset:
+    truncation errors are kept for those numbers of modes that the subspace has; the bounds hold
+    both.
 
-    Returns:
-        The metadata of the larger dataset. Truncation errors are kept for those numbers of modes
-        that the subspace has; the bounds hold both.
-
-    Raises:
-        FileNotFoundError: a folder or file is missing.
-        ValueError: bad raw runs, another scene or packing, runs without a split, nothing new, a
-            run that the dataset holds with other content, a dataset with files of somebody else, or
-            one that another process writes or has replaced meanwhile.
-        OSError: the dataset cannot be written.
-    """
+    FileNotFoundError: a folder or file is missing. ValueError: bad raw runs, another scene or
+    packing, runs without a split, nothing new, a run that the dataset holds with other content, a
+    dataset with files of somebody else, or one that another process writes or has replaced
+    meanwhile. OSError: the dataset cannot be written."""
     dataset.read_metadata(data_path)  # the lock would make a folder that is absent
     with folder_lock.locked(data_path):
         encode.refuse_occupied_output(data_path, overwrite=True)

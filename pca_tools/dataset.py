@@ -65,17 +65,11 @@ FRAME_SERIES = {field.name: field.metadata['shape'] for field in dataclasses.fie
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Trajectory(FrameSeries):
-    """One run in the subspace: T frames of V = R + r nodes.
+    """One run in the subspace: T frames of V = R + r nodes."""
 
-    Attributes:
-        key: number of the run in its file (0 in all records of the authors).
-        particle_type: int64 [V]; 3 rigid and prescribed, 0 rigid and predicted, 6 mode.
-        position: float32 [T, V, 3]; metres for rigid particles, scores (metres) for modes.
-    """
-
-    key: int
-    particle_type: np.ndarray
-    position: np.ndarray
+    key: int  # number of the run in its file (0 in all records of the authors)
+    particle_type: np.ndarray  # int64 [V]; 3 rigid and prescribed, 0 rigid and predicted, 6 mode
+    position: np.ndarray  # float32 [T, V, 3]; metres for rigid particles, scores (metres) for modes
 
     @property
     def n_rigid(self) -> int:
@@ -100,15 +94,12 @@ def split_path(folder: str, split: str) -> str:
 
 
 def read_split(folder: str, split: str) -> list[Trajectory]:
-    """Returns all runs of a split, in file order, each checked against metadata and manifest.
+    """Returns all runs of a split, in file order, each checked against metadata and manifest. The
+    folder may be ours or the authors' (which have neither manifest nor scene).
 
-    The folder may be ours or the authors' (which have neither manifest nor scene).
-
-    Raises:
-        FileNotFoundError: the folder, its metadata or the split is missing.
-        ValueError: a file is damaged, foreign, a git-lfs pointer or not the one in the manifest, or
-            a record does not fit the metadata or holds NaN; with file, record, frame and remedy.
-    """
+    FileNotFoundError: the folder, its metadata or the split is missing. ValueError, with file,
+    record, frame and remedy: a file is damaged, foreign, a git-lfs pointer or not the one in the
+    manifest, or a record does not fit the metadata or holds NaN."""
     metadata = read_metadata(folder)
     path = split_path(folder, split)
     if not os.path.exists(path):

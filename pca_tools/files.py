@@ -66,13 +66,9 @@ def write_npz(path: str, **arrays: Any) -> None:
 
 def read_npz(path: str, only: Sequence[str] | None = None) -> dict[str, np.ndarray]:
     """Reads the arrays of a `.npz` file (of them those in `only`, None: all), without pickles and
-    never more than the headers promise.
-
-    Raises:
-        FileNotFoundError: there is no such file.
-        ValueError: git-lfs pointer, not a zip file, truncated, damaged, an object array, arrays of
-            more than `MAX_BYTES` together, or a member whose header disagrees with its size.
-    """
+    never more than the headers promise. FileNotFoundError: there is no such file. ValueError:
+    git-lfs pointer, not a zip file, truncated, damaged, an object array, arrays of more than
+    `MAX_BYTES` together, or a member whose header disagrees with its size."""
     with opened_npz(path) as members:
         return {
             name: _read_array(file, size)

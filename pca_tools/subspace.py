@@ -42,38 +42,25 @@ _SCALARS = ('total_energy', 'n_rows', 'centering', 'digest')
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Subspace:
-    """Mean and modes of the soil, with what is needed to judge them.
+    """Mean and modes of the soil, with what is needed to judge them."""
 
-    Attributes:
-        mean: float64, [N, 3] for centering `configuration`, [] for `scalar`; metres.
-        components: float64 [N, r], orthonormal columns.
-        singular_values: float64 [S], S >= r leading singular values of X - mean, descending;
-            metres.
-        total_energy: sum of squares of all entries of X - mean; m^2.
-        n_rows: rows of X = runs * frames * 3.
-        centering: `configuration` or `scalar`.
-        runs: names of the runs it was fitted on (training runs only).
-        initial: float64 [N, 3], frame 0 of the first of them, metres; says which particle a column
-            is.
-    """
-
-    mean: np.ndarray
-    components: np.ndarray
+    mean: np.ndarray  # float64, [N, 3] for centering `configuration`, [] for `scalar`; metres
+    components: np.ndarray  # float64 [N, r], orthonormal columns
+    # float64 [S], S >= r leading singular values of X - mean, descending; metres
     singular_values: np.ndarray
-    total_energy: float
-    n_rows: int
-    centering: str
-    runs: tuple[str, ...]
+    total_energy: float  # sum of squares of all entries of X - mean; m^2
+    n_rows: int  # rows of X = runs * frames * 3
+    centering: str  # `configuration` or `scalar`
+    runs: tuple[str, ...]  # names of the runs it was fitted on (training runs only)
+    # float64 [N, 3], frame 0 of the first of them, metres; says which particle a column is
     initial: np.ndarray
 
     @property
     def n_soil(self) -> int:
-        """N."""
         return self.components.shape[0]
 
     @property
     def n_modes(self) -> int:
-        """r."""
         return self.components.shape[1]
 
     @functools.cached_property

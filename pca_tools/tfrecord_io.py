@@ -84,13 +84,9 @@ class SequenceRecord:
 
 def scan_record_headers(path: str) -> list[tuple[int, int]]:
     """Returns (offset, data length) in bytes of every record of a TFRecord file, by walking its
-    headers without reading its data.
-
-    Raises:
-        FileNotFoundError: there is no such file.
-        ValueError: empty file, git-lfs pointer, foreign file, oversized or truncated record; with
-            file, record and offset.
-    """
+    headers without reading its data. FileNotFoundError: there is no such file. ValueError, with
+    file, record and offset: empty file, git-lfs pointer, foreign file, oversized or truncated
+    record."""
     files.refuse_git_lfs_pointer(path)
     size = os.path.getsize(path)
     records: list[tuple[int, int]] = []

@@ -83,23 +83,17 @@ def write_json(path: str, content: Any, indent: int = 2) -> None:
 
 
 def write_folder_atomically(path: str, fill: Callable[[str], None], replace: bool = True) -> None:
-    """Fills a folder under a temporary name and moves it into place only when it is complete.
+    """Lets `fill` fill a folder of a temporary name and moves it into place only when it is
+    complete. A folder of that name is replaced with `replace`; else it must be empty or absent,
+    also by the time that the new one is complete.
 
     That the name can be taken is tried before the work. A link is followed to the folder that it
     means. An older folder changes places with the new one in one call where the system can; where
     it cannot, a kill between two renames is mended by the next call (`recover_folder`). A mount
     point, which cannot be renamed, is filled file by file, each moved in when all are complete.
 
-    Args:
-        path: final name.
-        fill: called with the temporary folder.
-        replace: whether a folder of that name is replaced; else it must be empty or absent, also by
-            the time that the new one is complete.
-
-    Raises:
-        OSError: the name cannot be taken, a file could not be written, or another writer was
-            faster; an older folder stays.
-    """
+    OSError: the name cannot be taken, a file could not be written, or another writer was faster; an
+    older folder stays."""
     path = os.path.realpath(path)
     _check_name(path)
     os.makedirs(os.path.dirname(path), exist_ok=True)
