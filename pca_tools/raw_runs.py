@@ -14,7 +14,7 @@ import json
 import math
 import os
 import warnings
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -95,6 +95,9 @@ class RawRuns(Sequence):
 
     def __len__(self) -> int:
         return len(self._entries)
+
+    def __iter__(self) -> Iterator[RawRun]:  # that of Sequence takes an IndexError for the end
+        return (self[index] for index in range(len(self)))
 
     def __getitem__(self, index: int) -> RawRun:  # type: ignore[override]
         """Opens run `index`; ValueError, with file, frame and point: it differs from the manifest,

@@ -107,6 +107,10 @@ def test_runs_without_a_map_or_with_another_one(whole, tmp_path):
         raw = raw_folder(tmp_path / name, (8,), **changes)
         with pytest.raises(ValueError, match=f'its height map is {cells}.*that of .*5 x 3 cells'):
             append.append(raw, shutil.copytree(data, tmp_path / f'{name}_data'))
+    lost = shutil.copytree(data, tmp_path / 'lost')
+    (lost / 'heights_train.npz').unlink()  # the manifest lists it
+    with pytest.raises(FileNotFoundError, match='heights_train'):
+        subset.subset(str(lost), str(tmp_path / 'few'), train_runs=2)
     raw = raw_folder(tmp_path / 'nowhere', (1, 2), bin_m=None)
     with pytest.raises(ValueError, match='do not say where the height map lies: heights_corner_m'):
         convert.convert(raw, str(tmp_path / 'out'))
