@@ -345,8 +345,9 @@ def motion_statistics(trajectories: Sequence[dataset.Trajectory]) -> dict[str, l
         ('rigid_body_torque', [run.torque for run in trajectories]),
         ('context', [run.step_context for run in trajectories]),
     ):
-        if samples[0] is not None:
-            rows = np.concatenate([sample.reshape(-1, sample.shape[-1]) for sample in samples])
+        held = [sample for sample in samples if sample is not None]
+        if held:
+            rows = np.concatenate([sample.reshape(-1, sample.shape[-1]) for sample in held])
             rows = rows.astype(np.float64)
             statistics[f'{name}_mean'] = rows.mean(axis=0).tolist()
             statistics[f'{name}_std'] = rows.std(axis=0).tolist()

@@ -143,6 +143,15 @@ def test_statistics_divided_by_dt(copy, excavation, tmp_path):
     assert ' times that of the training records (1 / dt is 60)' in texts(few, ERROR)
 
 
+def test_torque_of_some_runs_and_without_statistics(copy):
+    change_runs(
+        copy, 'train', lambda i, run: dataclasses.replace(run, torque=run.force if i < 3 else None)
+    )
+    assert not texts(copy, ERROR)
+    assert 'records have rigid_body_torque_std [' in texts(copy, WARN)
+    assert 'torque (3 runs)' in report(inspect_folder(copy))
+
+
 @pytest.mark.parametrize('name', ['excavation', 'excavation_wide', 'wheel'])
 def test_shipped_datasets_pass(name):
     inspection = inspect_folder(str(REPOSITORY / 'datasets' / name))
