@@ -11,7 +11,7 @@ __all__ = ['write_raw']
 
 def __getattr__(name: str):
     if name == 'write_raw':
-        from pca_tools.raw_writer import write_raw
+        from pca_tools.raw_runs import write_raw
 
         return write_raw
     raise AttributeError(f'module {__name__!r} has no attribute {name!r}')

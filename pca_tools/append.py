@@ -19,11 +19,12 @@ from typing import Any
 import numpy as np
 from absl import flags
 
-from pca_tools import command, convert, dataset, encode, files, heights, packing, particles
+from pca_tools import command, convert, dataset, encode, files, packing
 from pca_tools.encode import EncodedRun
+from pca_tools.heights import Grid, Heights, grid_faults
 from pca_tools.metadata import SPLITS
+from pca_tools.particles import ParticleSample
 from pca_tools.raw_runs import RawRuns, raise_faults
-from pca_tools.splits import given_splits
 from pca_tools.storage import folder_lock
 
 
@@ -31,30 +32,23 @@ def append(
     raw_path: str, data_path: str, check_units: bool = True, match_particles: bool = False
 ) -> dict[str, Any]:
     """Adds the runs of a raw folder, of the same scene and packing, all of which name a split, to a
-    dataset of `convert` with a particle sample.
+    dataset of `convert` with a particle sample. Returns the metadata of the larger dataset:
+    truncation errors are kept for those numbers of modes that the subspace has; the bounds hold
+    both.
 
-    Returns:
-        The metadata of the larger dataset. Truncation errors are kept for those numbers of modes
-        that the subspace has; the bounds hold both.
-
-    Raises:
-        FileNotFoundError: a folder or file is missing.
-        ValueError: bad raw runs, another scene or packing, runs without a split, nothing new, a
-            run that the dataset holds with other content, a dataset with files of somebody else, or
-            one that another process writes or has replaced meanwhile.
-        OSError: the dataset cannot be written.
-    """
+    FileNotFoundError: a folder or file is missing. ValueError: bad raw runs, another scene or
+    packing, runs without a split, nothing new, a run that the dataset holds with other content, a
+    dataset with files of somebody else, or one that another process writes or has replaced
+    meanwhile. OSError: the dataset cannot be written."""
     dataset.read_metadata(data_path)  # the lock would make a folder that is absent
     with folder_lock.locked(data_path):
         encode.refuse_occupied_output(data_path, overwrite=True)
         listed = files.check_manifest(data_path, ())
         held = encode.load(data_path)
         runs = RawRuns(raw_path)
-        if match_particles:
-            runs.match_particles(held.space.initial)
-        runs.check(check_units, held.space)
+        runs.check(check_units, held.space, match_particles)
         convert.refuse_other_scene(data_path, held.metadata, runs)
-        raise_faults(raw_path, heights.grid_faults(runs[0].grid, held.grid, data_path))
+        raise_faults(raw_path, grid_faults(runs[0].grid, held.grid, data_path))
         added = _encode_new(runs, held, data_path)
         together = held.with_parts(
             {split: [*held.parts.get(split, []), *added[split]] for split in SPLITS}, runs.world
@@ -73,7 +67,7 @@ def _encode_new(
 ) -> dict[str, list[EncodedRun]]:
     """Returns split -> the runs that the dataset does not hold; ValueError if there is none, one is
     held with other content, or they name no split."""
-    sample = particles.read_sample(data_path, next(iter(held.parts)))
+    sample = ParticleSample.read(data_path, next(iter(held.parts)))
     records = {convert.run_key(run.parameters): run for part in held.parts.values() for run in part}
     new, twice = [], {}
     for index, case in enumerate(runs.cases):
@@ -97,15 +91,14 @@ def _encode_new(
             )
     if not new:
         raise ValueError(f'{data_path}: holds all {len(runs)} runs already; nothing was changed')
-    named = [runs.parameters(index).get('split') for index in new]
-    dealt = given_splits([runs.cases[index] for index in new], named, need_train=False)
+    dealt = convert.given_splits(runs, new, need_train=False)
     if dealt is None:
         raise ValueError(f'{runs.folder}: its runs name no split of {SPLITS} in their parameters')
-    return {split: encoded([new[place] for place in part]) for split, part in dealt.items()}
+    return {split: encoded(part) for split, part in dealt.items()}
 
 
 def _are_equal(
-    made: EncodedRun, held: EncodedRun, sample: particles.ParticleSample, grid: heights.Grid | None
+    made: EncodedRun, held: EncodedRun, sample: ParticleSample, grid: Grid | None
 ) -> bool:
     """Whether two records are of one run. Packed records hold scores in whole steps and rigid
     particles as the pose puts them; everything else is kept bit for bit."""
@@ -115,7 +108,11 @@ def _are_equal(
     soils = [
         packing.unpack_steps(*run.sample, sample.rest, sample.resolution) for run in (made, held)
     ]
-    terrains = [heights.unpack(run.heights, grid) for run in (made, held) if grid and run.heights]
+    terrains = [
+        packing.unpack_steps(*run.heights, np.zeros(grid.shape), Heights.RESOLUTION)
+        for run in (made, held)
+        if grid and run.heights
+    ]
     return (
         np.array_equal(*soils)
         and (not terrains or np.array_equal(*terrains))

@@ -31,7 +31,6 @@ Examples:
 from __future__ import annotations
 
 import contextlib
-import functools
 import os
 import warnings
 from collections.abc import Sequence
@@ -39,12 +38,10 @@ from typing import Any
 
 import numpy as np
 from absl import flags
-from tqdm import tqdm
 
-from pca_tools import command, encode, files, particles, raw_writer, subspace, workers
+from pca_tools import command, encode, files, particles, raw_runs, subspace, workers
+from pca_tools.metadata import SPLITS
 from pca_tools.raw_runs import RawRuns, SoilPositions
-from pca_tools.splits import given_splits, split_cases
-from pca_tools.statistics import mean_share
 from pca_tools.storage import markdown
 
 DEFAULT_SPLIT = (0.8, 0.1, 0.1)
@@ -94,9 +91,7 @@ def convert(
     encode.refuse_occupied_output(output_path, overwrite)
     runs = RawRuns(raw_path)
     base, space = (None, None) if like is None else encode.load_space(like)
-    if match_particles:
-        runs.match_particles(space and space.initial)
-    runs.check(check_units, space)
+    runs.check(check_units, space, match_particles)
     without_pose = runs[0].rigid_pose is None and runs[0].body_pose is None
     if without_pose and runs.scene['rigid_motion'] != 'none':
         warnings.warn(
@@ -105,21 +100,24 @@ def convert(
             stacklevel=2,
         )
     if base is None:
-        dealt = _deal(runs, split, seed, hold_out)
+        dealt = given_splits(runs, range(len(runs)), hold_out) if split is None else None
+        dealt = dealt or split_cases(runs.cases, split or DEFAULT_SPLIT, seed, hold_out)
         with contextlib.nullcontext() if cluster is None else workers.start(cluster) as crew:
             wide = subspace.fit(
                 SoilPositions(runs, dealt['train'], frame_stride), modes, centering, max_memory_mb,
                 names=[str(runs.cases[index]) for index in dealt['train']],
-                progress=functools.partial(tqdm, unit='run'),
                 spare_modes=max(max(encode.FLOOR_MODES) - modes, 0), crew=crew,
             )  # fmt: skip
         space = wide.truncated(modes)
     else:
         refuse_other_scene(like, base, runs)
-        _refuse_trained_on(like, base, runs)
-        named = [runs.parameters(index).get('split') for index in range(len(runs))]
-        dealt = given_splits(runs.cases, named, need_train=False)
-        dealt, wide = dealt or {'test': list(range(len(runs)))}, space
+        trained = {run_key(case) for case in base.get('cases', {}).get('train', [])}
+        parameters = ({**runs.parameters(i), 'case': case} for i, case in enumerate(runs.cases))
+        if known := [held['case'] for held in parameters if run_key(held) in trained]:
+            raise ValueError(f'{like}: was trained on the cases {known}; they are no test of it')
+        every = list(range(len(runs)))
+        dealt = given_splits(runs, every, need_train=False) or {'test': every}
+        wide = space
     sampled = particles.choose_particles(space.initial)
     parts = {
         name: encode.encode_runs(runs, part, wide, space.n_modes, sampled)
@@ -132,15 +130,78 @@ def convert(
     return metadata
 
 
-def _deal(
-    runs: RawRuns, split: Sequence[float] | None, seed: int, hold_out: Sequence[int | str]
+def given_splits(
+    runs: RawRuns,
+    indices: Sequence[int],
+    hold_out: Sequence[int | str] = (),
+    need_train: bool = True,
+) -> dict[str, list[int]] | None:
+    """Deals the raw runs `indices` (ascending) to the splits that their parameters name, cases of
+    `hold_out` to test: split -> indices, ascending; None if no case names one. ValueError: unknown
+    names or ids, some that name none, or none in train where one is needed."""
+    named = {index: runs.parameters(index).get('split') for index in indices}
+    if all(split is None for split in named.values()):
+        return None
+    held = _known_ids(hold_out, runs.cases)
+    parts: dict[str, list[int]] = {split: [] for split in SPLITS}
+    faults = []
+    for index, split in named.items():
+        if str(runs.cases[index]) in held:
+            parts['test'].append(index)
+        elif split in SPLITS:
+            parts[split].append(index)
+        else:
+            faults.append(f'{runs.cases[index]}: {split!r}')
+    if faults:
+        raise ValueError(
+            f'{len(faults)} of {len(named)} cases name no split of {SPLITS} in their parameters '
+            f'({", ".join(faults[:5])}), the others do; give --split to deal all of them anew'
+        )
+    if need_train and not parts['train']:
+        raise ValueError('no case names train as its split: there is nothing to fit a subspace to')
+    return parts
+
+
+def _known_ids(hold_out: Sequence[int | str], cases: Sequence[int | str]) -> set[str]:
+    held = {str(case) for case in hold_out}
+    unknown = held - {str(case) for case in cases}
+    if unknown:
+        raise ValueError(f'hold_out names {sorted(unknown)}, which are not among the cases')
+    return held
+
+
+def split_cases(
+    cases: Sequence[int | str],
+    fractions: Sequence[float],
+    seed: int,
+    hold_out: Sequence[int | str] = (),
 ) -> dict[str, list[int]]:
-    """Returns split -> indices of runs: as asked for, as the runs say, or by the default shares."""
-    if split is None:
-        given = [runs.parameters(index).get('split') for index in range(len(runs))]
-        if (parts := given_splits(runs.cases, given, hold_out)) is not None:
-            return parts
-    return split_cases(runs.cases, split or DEFAULT_SPLIT, seed, hold_out)
+    """Deals cases to the splits by a seeded draw without replacement: split -> indices into
+    `cases`, ascending. `fractions` are the shares of train, valid and test, sum 1; each above 0
+    gets at least one case. Ids of `hold_out` go to test whatever the draw says, and count towards
+    its share. ValueError: other shares, unknown ids, or too few cases."""
+    if len(fractions) != len(SPLITS) or min(fractions) < 0 or abs(sum(fractions) - 1.0) > 1e-6:
+        raise ValueError(f'split {list(fractions)} must be {len(SPLITS)} shares that sum to 1')
+    held = _known_ids(hold_out, cases)
+    shuffled = np.random.default_rng(seed).permutation(len(cases)).tolist()
+    forced = [index for index in shuffled if str(cases[index]) in held]
+    free = [index for index in shuffled if str(cases[index]) not in held]
+    sizes = {
+        split: max(round(share * len(cases)), 1) if share > 0 else 0
+        for split, share in zip(SPLITS, fractions)
+    }
+    n_test, n_valid = max(sizes['test'] - len(forced), 0), sizes['valid']
+    if n_test + n_valid >= len(free):
+        raise ValueError(
+            f'{len(cases)} cases with {len(forced)} held out do not fill the shares '
+            f'{list(fractions)}; let the solver make more, or use --like to put them into '
+            'an existing subspace'
+        )
+    return {
+        'train': sorted(free[n_test + n_valid :]),
+        'valid': sorted(free[n_test : n_test + n_valid]),
+        'test': sorted(forced + free[:n_test]),
+    }
 
 
 def refuse_other_scene(like: str, base: dict[str, Any], runs: RawRuns) -> None:
@@ -166,17 +227,6 @@ def refuse_other_scene(like: str, base: dict[str, Any], runs: RawRuns) -> None:
         )
 
 
-def _refuse_trained_on(like: str, base: dict[str, Any], runs: RawRuns) -> None:
-    trained = {run_key(case) for case in base.get('cases', {}).get('train', [])}
-    known = [
-        case
-        for index, case in enumerate(runs.cases)
-        if run_key({**runs.parameters(index), 'case': case}) in trained
-    ]
-    if known:
-        raise ValueError(f'{like}: was trained on the cases {known}; they are no test of it')
-
-
 def run_key(parameters: dict[str, Any]) -> tuple[Any, str]:
     """What tells a run from all others: case numbers count anew in every kind."""
     return parameters.get('kind'), str(parameters.get('case'))
@@ -186,7 +236,7 @@ def summary(metadata: dict[str, Any], output_path: str) -> str:
     """Returns the closing lines: counts, truncation error and motion kept by split."""
     floors, rows = metadata['projection_floors'], []
     for split, values in metadata['projection_mse'].items():
-        kept = mean_share(metadata['motion_kept'][split], metadata['motion_mse'][split])
+        kept = encode.mean_share(metadata['motion_kept'][split], metadata['motion_mse'][split])
         rows.append((
             split, len(values), float(np.mean(values)), 1e3 * float(np.mean(values)) ** 0.5,
             max(metadata['projection_max_mm'][split]), f'{100 * kept:.2f}',
@@ -256,7 +306,7 @@ def main(values) -> None:
     if values.like and idle:
         raise ValueError(f'{", ".join(idle)} do not go with --like: subspace and splits are given')
     if values.rehash:
-        changed = raw_writer.rehash(values.raw_path)
+        changed = raw_runs.rehash(values.raw_path)
         print(f'{values.raw_path}: the manifest has new entries for {len(changed)} files')
         if not values.output_path:
             return

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from pca_tools import files, packing, rigid_fit, tfrecord_io
-from pca_tools.metadata import DIM, METADATA_NAME, SPLITS, read_metadata
+from pca_tools.metadata import DIM, METADATA_NAME, SPLITS, non_finite, read_metadata
 
 RIGID_PARTICLE_ID = 0
 KINEMATIC_PARTICLE_ID = 3
@@ -65,17 +65,11 @@ FRAME_SERIES = {field.name: field.metadata['shape'] for field in dataclasses.fie
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Trajectory(FrameSeries):
-    """One run in the subspace: T frames of V = R + r nodes.
+    """One run in the subspace: T frames of V = R + r nodes."""
 
-    Attributes:
-        key: number of the run in its file (0 in all records of the authors).
-        particle_type: int64 [V]; 3 rigid and prescribed, 0 rigid and predicted, 6 mode.
-        position: float32 [T, V, 3]; metres for rigid particles, scores (metres) for modes.
-    """
-
-    key: int
-    particle_type: np.ndarray
-    position: np.ndarray
+    key: int  # number of the run in its file (0 in all records of the authors)
+    particle_type: np.ndarray  # int64 [V]; 3 rigid and prescribed, 0 rigid and predicted, 6 mode
+    position: np.ndarray  # float32 [T, V, 3]; metres for rigid particles, scores (metres) for modes
 
     @property
     def n_rigid(self) -> int:
@@ -100,15 +94,12 @@ def split_path(folder: str, split: str) -> str:
 
 
 def read_split(folder: str, split: str) -> list[Trajectory]:
-    """Returns all runs of a split, in file order, each checked against metadata and manifest.
+    """Returns all runs of a split, in file order, each checked against metadata and manifest. The
+    folder may be ours or the authors' (which have neither manifest nor scene).
 
-    The folder may be ours or the authors' (which have neither manifest nor scene).
-
-    Raises:
-        FileNotFoundError: the folder, its metadata or the split is missing.
-        ValueError: a file is damaged, foreign, a git-lfs pointer or not the one in the manifest, or
-            a record does not fit the metadata or holds NaN; with file, record, frame and remedy.
-    """
+    FileNotFoundError: the folder, its metadata or the split is missing. ValueError, with file,
+    record, frame and remedy: a file is damaged, foreign, a git-lfs pointer or not the one in the
+    manifest, or a record does not fit the metadata or holds NaN."""
     metadata = read_metadata(folder)
     path = split_path(folder, split)
     if not os.path.exists(path):
@@ -119,15 +110,11 @@ def read_split(folder: str, split: str) -> list[Trajectory]:
     trajectories = read_records_as_trajectories(path)
     if _identity(path) != before:
         raise ValueError(f'{path}: the file was replaced while it was read; read it again')
-    if entries is not None:
-        expected = entries[os.path.basename(path)].get('records')
-        if expected is not None and expected != len(trajectories):
-            raise ValueError(
-                f'{path}: has {len(trajectories)} records, the manifest says {expected}'
-            )
+    entry = (entries or {}).get(os.path.basename(path), {})
+    if (expected := entry.get('records', len(trajectories))) != len(trajectories):
+        raise ValueError(f'{path}: has {len(trajectories)} records, the manifest says {expected}')
     for index, trajectory in enumerate(trajectories):
-        problems = trajectory_problems(trajectory, metadata)
-        if problems:
+        if problems := trajectory_problems(trajectory, metadata):
             raise ValueError(f'{path}: record {index}: ' + '; '.join(problems))
     return trajectories
 
@@ -252,47 +239,36 @@ def trajectory_problems(trajectory: Trajectory, metadata: dict[str, Any]) -> lis
 
 
 def _series_problems(trajectory: Trajectory) -> list[str]:
-    problems = []
-    for name, shape in {'position': (len(trajectory.particle_type), DIM), **FRAME_SERIES}.items():
-        values = getattr(trajectory, name)
-        if values is not None:
-            if not has_shape(values, trajectory.n_frames, shape):
-                problems.append(
-                    f'{name} has shape {values.shape}, {trajectory.n_frames} frames of {shape} '
-                    'were expected'
-                )
-            problems += non_finite_problems(values, name)
-    return problems
-
-
-def has_shape(values: np.ndarray, n_frames: int, of_frame: tuple) -> bool:
-    """Whether a series has `n_frames` frames of a shape, where None is any number."""
-    return values.ndim == 1 + len(of_frame) and all(
-        wanted in (None, size) for wanted, size in zip((n_frames, *of_frame), values.shape)
+    shapes = {'position': (len(trajectory.particle_type), DIM), **FRAME_SERIES}
+    faults = (
+        series_fault(values, name, trajectory.n_frames, shape)
+        for name, shape in shapes.items()
+        if (values := getattr(trajectory, name)) is not None
     )
+    return [fault for fault in faults if fault]
 
 
-def non_finite_problems(values: np.ndarray, name: str, point: str = 'node') -> list[str]:
-    """Returns a sentence that counts values [T, points, axes] or [T, axes] that are not finite,
-    with the place of the first; `point` is what a point is called."""
-    bad = np.argwhere(~np.isfinite(values))
-    if not len(bad):
-        return []
-    axes = ('frame', 'axis') if values.ndim == 2 else ('frame', point, 'axis')
-    first = ', '.join(f'{axis} {index}' for axis, index in zip(axes, bad[0]))
-    return [f'{name} holds {len(bad)} NaN or infinite values, the first at {first}']
+def series_fault(
+    values: np.ndarray, name: str, n_frames: int, of_frame: tuple, point: str = 'node'
+) -> str:
+    """Says what is wrong with a series of `n_frames` frames of a shape, where None is any number;
+    empty if nothing is. `point` is what a point of it is called."""
+    expected = (n_frames, *of_frame)
+    fits = values.ndim == len(expected) and all(
+        wanted in (None, size) for wanted, size in zip(expected, values.shape)
+    )
+    if not fits or not values.size or values.dtype.kind not in 'fiu':
+        sizes = ' x '.join('any' if size is None else str(size) for size in of_frame)
+        shape = f'{values.shape}, {values.dtype}'
+        return f'{name} has shape {shape} for {n_frames} frames of {sizes} values'
+    fault = non_finite(values, 'frame', *(point, 'axis')[1 - values.ndim :])
+    return f'{name} holds {fault}' if fault else ''
 
 
 def write_split(path: str, trajectories: Sequence[Trajectory], packed: bool = False) -> int:
-    """Writes runs as a TFRecord file, packed or plain (see above), whole or not at all.
-
-    Returns:
-        The number of records.
-
-    Raises:
-        ValueError: shapes that do not fit each other, or NaN.
-        OSError: the file could not be written.
-    """
+    """Writes runs as a TFRecord file, packed or plain (see above), whole or not at all; returns
+    their number. ValueError: shapes that do not fit each other, or NaN. OSError: it cannot be
+    written."""
     records = []
     for index, run in enumerate(trajectories):
         if problems := _series_problems(run):

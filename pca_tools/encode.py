@@ -16,10 +16,11 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from pca_tools import dataset, files, heights, packing, particles
+from pca_tools import dataset, files
+from pca_tools.heights import Grid, Heights
 from pca_tools.metadata import METADATA_NAME, PROJECTION_KEYS, SCHEMA_VERSION, union_of_bounds
+from pca_tools.particles import ParticleSample
 from pca_tools.raw_runs import RawRun, RawRuns
-from pca_tools.statistics import motion_statistics
 from pca_tools.storage.folder_lock import LOCK_NAME
 from pca_tools.subspace import SUBSPACE_NAME, Subspace
 
@@ -54,7 +55,7 @@ class Contents:
     space: Subspace  # their subspace
     sampled: np.ndarray  # int [P], which particles are kept as such
     metadata: dict[str, Any]  # of `make_metadata`
-    grid: heights.Grid | None = None  # where the map of heights of every run lies; None without one
+    grid: Grid | None = None  # where the map of heights of every run lies; None without one
 
     def with_parts(self, parts: Parts, world: Mapping[str, Any] | None = None) -> Contents:
         """Returns a dataset of other runs in the same subspace, with the same statistics.
@@ -73,30 +74,23 @@ class Contents:
 def encode_runs(
     runs: RawRuns, indices: Sequence[int], space: Subspace, n_modes: int, sampled: np.ndarray
 ) -> list[EncodedRun]:
-    """Projects raw runs, one in memory at a time.
-
-    Args:
-        runs: the raw runs.
-        indices: which of them.
-        space: subspace of at least `n_modes` modes; further ones only give floors.
-        n_modes: r, modes in the records.
-        sampled: int [P], particles to keep as such.
-    """
+    """Projects the raw runs `indices`, one in memory at a time. The space has at least `n_modes`
+    modes, r, those of the records; further ones only give floors. `sampled`, int [P], are the
+    particles to keep as such."""
     kept, encoded = space.truncated(n_modes), []
     for index in tqdm(indices, desc='encode', unit='run'):
         run = runs[index]
         scores = space.encode(run.positions)
         kept_scores = np.ascontiguousarray(scores[:, :n_modes])
-        sample = run.positions[:: particles.FRAME_STRIDE, sampled]
-        packed = packing.pack_steps(sample, space.initial[sampled], particles.RESOLUTION)
+        maps = run.heights
         encoded.append(
             EncodedRun(
                 _trajectory(run, kept_scores, runs.scene),
                 {'case': run.case, **run.parameters},
                 projection_details(run.positions, kept, kept_scores),
                 _floors(run.positions, space, scores, n_modes),
-                (packed, len(sample)),
-                None if run.heights is None else heights.pack(run.heights),
+                ParticleSample.pack(run.positions[:, sampled], space.initial[sampled]),
+                None if maps is None else Heights.pack(maps, np.zeros(maps.shape[1:])),
             )
         )
     return encoded
@@ -162,12 +156,11 @@ def load(data_path: str) -> Contents:
     listed = files.check_manifest(data_path, ()) or {}
     parts, grids = {}, {}
     for split, cases in metadata['cases'].items():
-        sample = particles.read_sample(data_path, split)
+        sample = ParticleSample.read(data_path, split)
         floors = metadata['projection_floors']
         by_modes = dict(zip(floors['modes'], floors[split]))
-        terrain = None
-        if heights.Heights.path_of('', split) in listed:
-            terrain = heights.read(data_path, split)
+        has_heights = Heights.path_of('', split) in listed
+        terrain = Heights.read(data_path, split) if has_heights else None
         grids[split] = terrain and terrain.grid
         parts[split] = [
             EncodedRun(
@@ -241,15 +234,14 @@ def write(output_path: str, contents: Contents, overwrite: bool) -> None:
             runs = [dataclasses.replace(run.trajectory, key=i) for i, run in enumerate(part)]
             records = dataset.write_split(path, runs, metadata.get('packed', False))
             listed[os.path.basename(path)] = {'records': records}
-            path = particles.sample_path(folder, name)
-            packed = [run.sample for run in part]
-            particles.write_sample(path, packed, sampled, space.initial[sampled])
-            listed[os.path.basename(path)] = {}
-            if contents.grid:
-                path = heights.Heights.path_of(folder, name)
+            packed, rest = [run.sample for run in part], space.initial[sampled]
+            file = ParticleSample.write(folder, name, packed, rest, indices=np.int32(sampled))
+            listed[file] = {}
+            if grid := contents.grid:
                 maps = [run.heights for run in part if run.heights]  # of every run
-                heights.write(path, maps, contents.grid)
-                listed[os.path.basename(path)] = {}
+                place = {'corner': np.float64(grid.corner), 'cell': np.float64(grid.cell)}
+                file = Heights.write(folder, name, maps, np.zeros(grid.shape), **place)
+                listed[file] = {}
         files.write_manifest(folder, listed)
 
     files.write_folder_atomically(output_path, fill, replace=overwrite)
@@ -263,17 +255,11 @@ def make_metadata(
     frame_stride: int = 1,
     packed: bool = True,
 ) -> dict[str, Any]:
-    """Returns the metadata of a dataset.
-
-    Args:
-        parts: split -> runs.
-        space: their subspace.
-        world: `scene`, `bounds` and `dt` of the runs that are new.
-        base: metadata of the dataset to fit in with, whose scene and statistics stay and whose
-            bounds are widened by those of the new runs; None: statistics of train.
-        frame_stride: of the frames that the subspace was fitted to.
-        packed: form of the records, see `pca_tools.dataset`.
-    """
+    """Returns the metadata of a dataset of runs by split. `world` is `scene`, `bounds` and `dt` of
+    those that are new; `base` the metadata of a dataset to fit in with, whose scene and statistics
+    stay and whose bounds are widened by those of the new runs, None for statistics of train;
+    `frame_stride` that of the frames that the subspace was fitted to; `packed` the form of the
+    records (`dataset`)."""
     scene, bounds = world['scene'], world['bounds']
     if base is None:
         moments = motion_statistics([run.trajectory for run in parts['train']])
@@ -322,9 +308,12 @@ def make_metadata(
         },
         'projection_floors': {
             'modes': list(next(iter(parts.values()))[0].floors),
-            **{name: _mean_floors(part) for name, part in parts.items()},
+            **{
+                name: np.mean([list(run.floors.values()) for run in part], axis=0).tolist()
+                for name, part in parts.items()
+            },
         },
-        'particles': {name: os.path.basename(particles.sample_path('', name)) for name in parts},
+        'particles': {name: ParticleSample.path_of('', name) for name in parts},
         **{
             key: {name: [run.details[key] for run in part] for name, part in parts.items()}
             for key in PROJECTION_KEYS
@@ -336,5 +325,36 @@ def make_metadata(
     }
 
 
-def _mean_floors(part: Sequence[EncodedRun]) -> list[float]:
-    return np.mean([list(run.floors.values()) for run in part], axis=0).tolist()
+def motion_statistics(trajectories: Sequence[dataset.Trajectory]) -> dict[str, list[float]]:
+    """Computes the normalisation statistics of DeepMind's metadata and of the authors'.
+
+    Returns:
+        `vel_mean, vel_std, acc_mean, acc_std` [3] per frame (v_t = x_t - x_{t-1}, a_t = v_t -
+        v_{t-1}, not divided by dt), over all nodes that are not kinematic; the same of
+        `rigid_body_force`, `rigid_body_torque` [3] and `context` [C] where the runs have them.
+    """
+    moving = [
+        run.position[:, run.particle_type != dataset.KINEMATIC_PARTICLE_ID].astype(np.float64)
+        for run in trajectories
+    ]
+    statistics = {}
+    for name, samples in (
+        ('vel', [np.diff(positions, axis=0) for positions in moving]),
+        ('acc', [np.diff(positions, n=2, axis=0) for positions in moving]),
+        ('rigid_body_force', [run.force for run in trajectories]),
+        ('rigid_body_torque', [run.torque for run in trajectories]),
+        ('context', [run.step_context for run in trajectories]),
+    ):
+        held = [sample for sample in samples if sample is not None]
+        if held:
+            rows = np.concatenate([sample.reshape(-1, sample.shape[-1]) for sample in held])
+            rows = rows.astype(np.float64)
+            statistics[f'{name}_mean'] = rows.mean(axis=0).tolist()
+            statistics[f'{name}_std'] = rows.std(axis=0).tolist()
+    return statistics
+
+
+def mean_share(shares: Sequence[float], weights: Sequence[float]) -> float:
+    """Returns the mean of shares of energy, each weighted by its energy; 1 if there is none."""
+    total = float(np.sum(weights))
+    return float(np.dot(shares, weights)) / total if total > 0 else 1.0

@@ -26,8 +26,7 @@ from typing import Any
 import numpy as np
 from absl import flags
 
-from pca_tools import command, dataset, files
-from pca_tools.formats import detect
+from pca_tools import command, dataset, files, formats
 from pca_tools.formats.full_space import SOIL_TYPE, FullSpaceData, FullSpaceRun
 from pca_tools.metadata import SPLITS
 from pca_tools.raw_runs import RawRuns
@@ -36,17 +35,14 @@ from pca_tools.subspace import SUBSPACE_NAME, Subspace
 
 def export_data(data_path: str, output_path: str, format_name: str, **chosen: Any) -> str:
     """Exports what of a dataset is `chosen` (`full_space_of`); returns what was done.
-
-    Raises:
-        FileNotFoundError: a folder or file is missing.
-        ValueError: damaged data, data that the format cannot hold, or an output that is not empty.
-    """
+    FileNotFoundError: a folder or file is missing. ValueError: damaged data, data that the format
+    cannot hold, or an output that is not empty."""
     if os.path.isdir(output_path) and os.listdir(output_path):
         raise ValueError(f'{output_path}: is not empty; name another folder')
     data = full_space_of(data_path, **chosen)
     if next(data.runs(), None) is None:
         raise ValueError(f'{data.source}: holds no runs of {chosen.get("splits", SPLITS)}')
-    module = detect.FORMATS[format_name]
+    module = formats.FORMATS[format_name]
     files.write_folder_atomically(
         output_path, lambda folder: module.write(folder, data), replace=False
     )
@@ -122,8 +118,11 @@ def _records(data_path: str, metadata: dict[str, Any], splits: Sequence[str]) ->
             cases = metadata.get('dataset_split', {}).get(split, [])
             for index, run in enumerate(dataset.read_split(data_path, split)):
                 case = cases[index] if index < len(cases) else index
+                name = f'{split}_{case}'
+                if os.path.basename(name) != name:  # it becomes one, and points out of the folder
+                    raise ValueError(f'{data_path}: case {case!r} cannot name a file')
                 series = {'force': run.force, 'context': run.step_context}
-                yield f'{split}_{case}', split, case, run.position, run.particle_type, series
+                yield name, split, case, run.position, run.particle_type, series
 
 
 def _rollout_paths(path: str) -> list[str]:
@@ -159,7 +158,7 @@ def _rollouts(paths: Sequence[str], n_modes: int) -> Iterator[tuple]:
 
 def define_flags() -> None:
     flags.DEFINE_string('output_path', None, 'Folder of the export.', required=True)
-    flags.DEFINE_enum('format', None, sorted(detect.FORMATS), 'Of the export.', required=True)
+    flags.DEFINE_enum('format', None, sorted(formats.FORMATS), 'Of the export.', required=True)
     flags.DEFINE_string('raw_path', None, 'Raw runs of the dataset, to export their own particles.')
     flags.DEFINE_string('rollouts', None, 'A rollout file or a folder of them, exported instead.')
     flags.DEFINE_list('splits', list(SPLITS), 'Splits to export.')

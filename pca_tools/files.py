@@ -36,12 +36,8 @@ _ZIP_END_BYTES, _MAX_COMMENT, _IN_ZIP64 = 22, 2**16, 2**16 - 1
 
 
 def read_json(path: str) -> Any:
-    """Reads a JSON file.
-
-    Raises:
-        FileNotFoundError: there is no such file.
-        ValueError: it is a git-lfs pointer, empty, too large, or not JSON (with line and column).
-    """
+    """Reads a JSON file. FileNotFoundError: there is none. ValueError: it is a git-lfs pointer,
+    empty, too large, or not JSON (with line and column)."""
     refuse_git_lfs_pointer(path)
     if os.path.getsize(path) > MAX_JSON_BYTES:
         raise ValueError(
@@ -70,13 +66,9 @@ def write_npz(path: str, **arrays: Any) -> None:
 
 def read_npz(path: str, only: Sequence[str] | None = None) -> dict[str, np.ndarray]:
     """Reads the arrays of a `.npz` file (of them those in `only`, None: all), without pickles and
-    never more than the headers promise.
-
-    Raises:
-        FileNotFoundError: there is no such file.
-        ValueError: git-lfs pointer, not a zip file, truncated, damaged, an object array, arrays of
-            more than `MAX_BYTES` together, or a member whose header disagrees with its size.
-    """
+    never more than the headers promise. FileNotFoundError: there is no such file. ValueError:
+    git-lfs pointer, not a zip file, truncated, damaged, an object array, arrays of more than
+    `MAX_BYTES` together, or a member whose header disagrees with its size."""
     with opened_npz(path) as members:
         return {
             name: _read_array(file, size)
@@ -174,8 +166,6 @@ def _read_array(file: Any, size: int) -> np.ndarray:
         raise ValueError(
             f'its header says {shape} x {dtype} = {promised} bytes but it holds {held}'
         )
-    if held > MAX_BYTES:
-        raise ValueError(f'its header says {held} bytes, more than the limit of {MAX_BYTES}')
     data = file.read(held + 1)  # one more, for the end: an archive checks its checksum there
     if len(data) != held:
         raise ValueError(f'it holds {len(data)} bytes, {held} were expected')
@@ -218,12 +208,8 @@ def fingerprint(path: str) -> dict[str, Any]:
 
 
 def write_manifest(folder: str, files: dict[str, dict[str, Any]]) -> None:
-    """Writes `manifest.json`, the last file of a finished folder.
-
-    Args:
-        folder: holds the files.
-        files: file name -> facts to record beside bytes and sha256, such as `{'records': 32}`.
-    """
+    """Writes `manifest.json`, the last file of a finished folder, of `files`: name -> facts to
+    record beside bytes and sha256, such as `{'records': 32}`."""
     entries = {
         file: {**fingerprint(os.path.join(folder, file)), **facts} for file, facts in files.items()
     }
@@ -234,14 +220,8 @@ def check_manifest(
     folder: str, names: Iterable[str] | None = None
 ) -> dict[str, dict[str, Any]] | None:
     """Holds the files of a folder (those of `names`, None: all that are listed) against its
-    manifest.
-
-    Returns:
-        file name -> its manifest entry, or None if the folder has no manifest (the authors').
-
-    Raises:
-        ValueError: a file is missing, unlisted, or differs in bytes or sha256.
-    """
+    manifest; returns file name -> entry, None if the folder has no manifest (the authors').
+    ValueError: a file is missing, unlisted, or differs in bytes or sha256."""
     path = os.path.join(folder, MANIFEST_NAME)
     if not os.path.exists(path):
         return None

@@ -7,16 +7,13 @@ A dataset keeps every fourth frame, to within 0.05 mm: 2 to 47 kB a run of the s
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from pca_tools import packing
-from pca_tools.packed_runs import FRAME_STRIDE, PackedRuns, write_runs
+from pca_tools.packing import PackedRuns
 
-# Metres; heights are kept to half of it.
-RESOLUTION = 1e-4
 # Lower corner of the bins of our solver on each axis, m (`mpm.scenes`).
 _SOLVER_CORNER = 0.1
 
@@ -79,30 +76,13 @@ def reach(heights: np.ndarray | None, grid: Grid | None) -> float:
     return float(max(np.abs(heights).max(), np.abs([corner, far]).max()))
 
 
-def pack(heights: np.ndarray) -> tuple[bytes, int]:
-    """Packs the kept frames of heights [T, nx, nz], m; returns bytes and number of frames."""
-    kept = heights[::FRAME_STRIDE]
-    return packing.pack_steps(kept, np.zeros(kept.shape[1:]), RESOLUTION), len(kept)
-
-
-def unpack(packed: tuple[bytes, int], grid: Grid) -> np.ndarray:
-    """Unpacks `pack`: float64 [F, nx, nz] m."""
-    return packing.unpack_steps(*packed, np.zeros(grid.shape), RESOLUTION)
-
-
-def write(path: str, packed: Sequence[tuple[bytes, int]], grid: Grid) -> None:
-    """Writes the packed runs of a split; see `write_runs`."""
-    corner, cell = np.float64(grid.corner), np.float64(grid.cell)
-    # Steps from 0 and not from a first map: so they hang on no other run.
-    rest = np.zeros(grid.shape)
-    write_runs(path, packed, rest, FRAME_STRIDE, RESOLUTION, corner=corner, cell=cell)
-
-
 class Heights(PackedRuns):
     """The maps of a split, unpacked one run at a time: `maps[i]` is float64 [F, nx, nz], m, in
-    frame `f * frame_stride` of record i."""
+    frame `f * frame_stride` of record i. Steps count from 0, not from a first map: so they hang on
+    no other run."""
 
     NAME, TITLE, KINDS = 'heights', 'height map', {'corner': ('f', 1), 'cell': ('f', 1)}
+    RESOLUTION = 1e-4
 
     corner: np.ndarray  # float64 [2], x and z of the lower corner of cell [0, 0], m
     cell: np.ndarray  # float64 [2], sides of a cell, m

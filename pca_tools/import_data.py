@@ -19,7 +19,9 @@ Examples:
 
 from __future__ import annotations
 
+import dataclasses
 import os
+import statistics
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -27,16 +29,15 @@ import numpy as np
 from absl import flags
 from tqdm import tqdm
 
-from pca_tools import command, raw_writer
-from pca_tools.formats import authors, detect, full_space
-from pca_tools.metadata import AXES, RIGID_MOTIONS
+from pca_tools import command, dataset, files, formats, legacy_pickles, raw_runs
+from pca_tools.formats import full_space
+from pca_tools.metadata import AXES, METADATA_NAME, RIGID_MOTIONS, SCHEMA_VERSION, SPLITS
 
 
 def import_data(
     folder: str,
     output_path: str,
     *,
-    format_name: str | None = None,
     dt: float | None = None,
     up_axis: int | None = None,
     body: str | None = None,
@@ -51,17 +52,13 @@ def import_data(
         FileNotFoundError: there is no such folder.
         ValueError: data that are not known, damaged, or lack what nobody stated.
     """
-    kind = format_name or detect.detect(folder)
-    if kind in (detect.RAW, detect.DATASET):
-        raise ValueError(detect.explain(kind, folder))
+    kind = formats.detect(folder)
+    if kind in (formats.RAW, formats.DATASET):
+        raise ValueError(formats.NO_IMPORT[kind].format(folder=folder))
     name = name or os.path.basename(os.path.abspath(folder))
-    if kind == detect.AUTHORS:
-        metadata, notes = authors.import_dataset(
-            folder, output_path, name, body, 1 if up_axis is None else up_axis
-        )
-        counts = {split: len(ids) for split, ids in metadata['dataset_split'].items()}
-        return '\n'.join([f'{output_path}: a dataset of {counts} records of {folder}', *notes])
-    data = detect.FORMATS[kind].read(folder, dt)
+    if kind == formats.AUTHORS:
+        return _import_authors(folder, output_path, name, body, 1 if up_axis is None else up_axis)
+    data = formats.FORMATS[kind].read(folder, dt)
     body = body or full_space.body_motion(data)
     bounds = _three_bounds(data.bounds, length_scale)
     up, note = _up_axis(data, bounds) if up_axis is None else (up_axis, None)
@@ -69,7 +66,7 @@ def import_data(
         raise ValueError(f'{data.source}: does not say {", and ".join(lacking.values())}')
     data.notes += [note] if note else []
     runs = _scaled(full_space.raw_mappings(data, body), length_scale, force_scale)
-    raw_writer.write_raw(
+    raw_runs.write_raw(
         output_path, tqdm(runs, desc='import', unit='run'), data.dt, up_axis=up, body=body,
         bounds=bounds, name=name, check_units=check_units,
     )  # fmt: skip
@@ -77,6 +74,76 @@ def import_data(
     lines += [f'note: {note}' for note in data.notes]
     lines.append(f'next: lts convert --raw_path={output_path} --output_path=DATASET')
     return '\n'.join(lines)
+
+
+def _import_authors(
+    folder: str, output_path: str, name: str, rigid_motion: str | None, up_axis: int
+) -> str:
+    """Makes a dataset of a folder of Subspace-Graph-Physics that states its scene, counts its keys,
+    and has a manifest, and their subspace where the eigenvectors are there (in the published
+    folders they are git-lfs pointers)."""
+    metadata = dataset.read_metadata(folder)
+    splits = {
+        split: dataset.read_split(folder, split)
+        for split in SPLITS
+        if os.path.exists(dataset.split_path(folder, split))
+    }
+    runs = [run for part in splits.values() for run in part]
+    if not runs:
+        raise ValueError(f'{folder}: holds no records')
+    prescribed = runs[0].particle_type[0] == dataset.KINEMATIC_PARTICLE_ID
+    rigid_motion = rigid_motion or ('prescribed' if prescribed else 'predicted')
+    scene = {
+        'name': name,
+        'rigid_motion': rigid_motion,
+        'rigid_edges': [],
+        'context_names': [f'context_{i}' for i in range(len(metadata.get('context_mean', [])))],
+        'force': 'rigid_body_force_mean' in metadata,
+        'up_axis': up_axis,
+    }
+    metadata = {
+        **metadata,
+        'schema_version': SCHEMA_VERSION,
+        'scene': scene,
+        'particles_rigid': statistics.mode(run.n_rigid for run in runs),
+        'frames_stored': runs[0].n_frames,
+    }
+    # Their ids repeat and are not as many as the records.
+    metadata['source_split'] = metadata.pop('dataset_split', {})
+    metadata['dataset_split'] = {
+        split: [f'{split}_{index}' for index in range(len(part))] for split, part in splits.items()
+    }
+    published, notes = {}, []
+    try:
+        path = os.path.join(folder, legacy_pickles.EIGENVECTORS_NAME)
+        vectors = legacy_pickles.read_array(path)
+        mean = legacy_pickles.read_array(os.path.join(folder, legacy_pickles.MEAN_NAME))
+        published = {'components': vectors[:, : metadata['mode_number']].real, 'mean': mean}
+        metadata['n_soil'] = len(vectors)
+    except (ValueError, OSError) as error:
+        notes.append(f'without eigenvectors scores cannot be decoded to particles ({error})')
+
+    def fill(temporary: str) -> None:
+        listed: dict[str, dict[str, Any]] = {METADATA_NAME: {}}
+        files.write_json(os.path.join(temporary, METADATA_NAME), metadata)
+        for split, part in splits.items():
+            path = dataset.split_path(temporary, split)
+            kept = [_renumbered(run, key, rigid_motion) for key, run in enumerate(part)]
+            listed[os.path.basename(path)] = {'records': dataset.write_split(path, kept)}
+        if published:
+            files.write_npz(os.path.join(temporary, 'published_subspace.npz'), **published)
+            listed['published_subspace.npz'] = {}
+        files.write_manifest(temporary, listed)
+
+    files.write_folder_atomically(output_path, fill, replace=False)
+    counts = {split: len(part) for split, part in splits.items()}
+    return '\n'.join([f'{output_path}: a dataset of {counts} records of {folder}', *notes])
+
+
+def _renumbered(run: dataset.Trajectory, key: int, rigid_motion: str) -> dataset.Trajectory:
+    is_mode = run.particle_type == dataset.MODE_PARTICLE_ID
+    types = np.where(is_mode, dataset.MODE_PARTICLE_ID, dataset.rigid_type(rigid_motion))
+    return dataclasses.replace(run, key=key, particle_type=types.astype(np.int64))
 
 
 def _up_axis(data: full_space.FullSpaceData, bounds) -> tuple[int | None, str | None]:
@@ -99,17 +166,17 @@ def _lacking(data: full_space.FullSpaceData, up: int | None, reason: str | None)
     return lacking
 
 
-def explain(folder: str, format_name: str | None = None) -> str:
+def explain(folder: str) -> str:
     """Returns what a folder is and what to do with it, with the flags that it surely needs; raises
     as `import_data`. No run is read: where there are bounds the upward axis may follow from all of
     them."""
-    kind = format_name or detect.detect(folder)
-    text = detect.explain(kind, folder)
-    if kind in detect.FORMATS:
-        data = detect.FORMATS[kind].read(folder)
-        lacking = _lacking(data, *((0, None) if data.bounds else _up_axis(data, None)))
-        text += ''.join(f' {flag}' for flag in lacking)
-    return text
+    kind = formats.detect(folder)
+    if kind in formats.NO_IMPORT:
+        return formats.NO_IMPORT[kind].format(folder=folder)
+    data = formats.FORMATS[kind].read(folder)
+    lacking = _lacking(data, *((0, None) if data.bounds else _up_axis(data, None)))
+    command_line = ' '.join([f'lts import {folder} --output_path=RAW', *lacking])
+    return f'{folder}: this is {formats.FORMATS[kind].TITLE}; to use it: {command_line}'
 
 
 def _scaled(
@@ -135,7 +202,6 @@ def define_flags() -> None:
     flags.DEFINE_string(
         'output_path', None, 'Folder of the new raw runs; without it the data are only named.'
     )
-    flags.DEFINE_enum('format', None, sorted(detect.FORMATS), 'Default: told by the files.')
     flags.DEFINE_float('dt', None, 'Seconds per frame, where the data do not say or say it wrong.')
     flags.DEFINE_integer('up_axis', None, 'Axis against gravity: 0, 1 or 2.')
     flags.DEFINE_enum(
@@ -151,11 +217,11 @@ def define_flags() -> None:
 
 def main(values, arguments: Sequence[str]) -> None:
     if values.output_path is None:
-        print(explain(arguments[0], values.format))
+        print(explain(arguments[0]))
         return
     names = ('dt', 'up_axis', 'body', 'name', 'length_scale', 'force_scale', 'check_units')
     options = {name: values[name].value for name in names}
-    print(import_data(arguments[0], values.output_path, format_name=values.format, **options))
+    print(import_data(arguments[0], values.output_path, **options))
 
 
 if __name__ == '__main__':

@@ -20,13 +20,12 @@ from typing import Any
 
 import numpy as np
 
-from pca_tools import command, dataset, files, legacy_pickles, rigid_fit, statistics
+from pca_tools import command, dataset, encode, files, legacy_pickles, rigid_fit
 from pca_tools.dataset import Trajectory
 from pca_tools.heights import Heights
 from pca_tools.metadata import AXES, SPLITS
-from pca_tools.packed_runs import PackedRuns
+from pca_tools.packing import PackedRuns
 from pca_tools.particles import ParticleSample
-from pca_tools.statistics import HISTORY, mean_share
 from pca_tools.storage import markdown
 from pca_tools.subspace import CLUSTER_GAP, Subspace
 
@@ -41,6 +40,7 @@ FAR_FACTOR = 3.0
 # Statistics of a part of the runs differ from those of all runs, but not by this factor.
 STATISTICS_FACTOR = 10.0
 STATISTICS_TOLERANCE = 1e-4
+HISTORY = 6  # H, frames that a model is given
 OK, WARN, ERROR = 'OK', 'WARN', 'ERROR'
 _MAX_NAMED = 5
 
@@ -252,7 +252,10 @@ def _check_statistics(found: Inspection) -> None:
         fitted is None or sorted(fitted) == sorted(str(case.get('case')) for case in cases)
     )
     agree = True
-    for key, values in statistics.motion_statistics(found.splits['train']).items():
+    for key, values in encode.motion_statistics(found.splits['train']).items():
+        if key not in held:  # of the torque, which datasets without its statistics may have
+            found.warn(f'the training records have {key} {values}, the metadata lacks it')
+            continue
         mean, promised = np.array(values), np.array(held[key])
         scale = np.linalg.norm(held[f'{key.rsplit("_", 1)[0]}_std'])
         ratio = scale / max(np.linalg.norm(mean), 1e-30)
@@ -470,7 +473,7 @@ def _kinds(found: Inspection) -> str:
         kept, moved = (found.of_split(key, split) for key in ('motion_kept', 'motion_mse'))
         if not chosen or max(chosen) >= min(len(kept), len(moved)):
             return str(len(chosen) or '-')
-        share = mean_share([kept[i] for i in chosen], [moved[i] for i in chosen])
+        share = encode.mean_share([kept[i] for i in chosen], [moved[i] for i in chosen])
         return f'{len(chosen)} ({100 * share:.2f} %)'
 
     kinds = sorted({kind for kind, _ in places} - {'all'})
@@ -518,11 +521,30 @@ def _trivial(found: Inspection) -> str:
                 'model is given, are left out'
             )
         if long:
-            errors = [statistics.trivial_errors(run, found.n_soil) for run in long]
+            errors = [trivial_errors(run, found.n_soil) for run in long]
             keys = ('stay_still', 'constant_velocity')
             rows.append((split, *(1e4 * float(np.mean([e[key] for e in errors])) for key in keys)))
     header = ('soil MSE without a model [1e-4 m^2]', 'persistence', 'constant velocity')
     return '\n'.join([markdown.table(header, rows, aligned=True), *notes])
+
+
+def trivial_errors(trajectory: Trajectory, n_soil: int) -> dict[str, float]:
+    """Mean squared errors (m^2) of the predictors that need no model, `stay_still` and
+    `constant_velocity`, on the soil of a run of more than `HISTORY` frames, inside the subspace.
+
+    W is orthonormal, so squared score errors / (3 N) are mean squared particle errors.
+    """
+    scores = trajectory.position[:, trajectory.n_rigid :].astype(np.float64)
+    last, truth = scores[HISTORY - 1], scores[HISTORY:]
+    steps = np.arange(1, len(truth) + 1)[:, None, None]
+    velocity = last - scores[HISTORY - 2]
+    return {
+        name: float(np.mean(np.sum((prediction - truth) ** 2, axis=(1, 2))) / (3 * n_soil))
+        for name, prediction in (
+            ('stay_still', last),
+            ('constant_velocity', last + steps * velocity),
+        )
+    }
 
 
 def _floors(found: Inspection) -> str:

@@ -112,12 +112,8 @@ class _ArrayUnpickler(pickle.Unpickler):
 
 
 def read_array(path: str) -> np.ndarray:
-    """Reads a pickled numpy array or scalar of numbers.
-
-    Raises:
-        FileNotFoundError: there is no such file.
-        ValueError: git-lfs pointer, empty or damaged file, or a pickle of anything else.
-    """
+    """Reads a pickled numpy array or scalar of numbers. FileNotFoundError: there is no such file.
+    ValueError: git-lfs pointer, empty or damaged file, or a pickle of anything else."""
     files.refuse_git_lfs_pointer(path)
     size = os.path.getsize(path)
     if size > files.MAX_BYTES:
@@ -134,13 +130,10 @@ def read_array(path: str) -> np.ndarray:
 
 
 def parse_objects(data: bytes, where: str) -> Any:
-    """Parses the pickle behind the header of a `.npy` member of type object.
-
-    Returns:
-        nested lists and tuples of numpy arrays of numbers, and plain numbers; an object array
-        becomes a list, one of two axes a list of lists. Anything else in it is a ValueError with
-        `where`, which names file and member.
-    """
+    """Parses the pickle behind the header of a `.npy` member of type object: nested lists and
+    tuples of numpy arrays of numbers, and plain numbers; an object array becomes a list, one of two
+    axes a list of lists. Anything else in it is a ValueError with `where`, which names file and
+    member."""
     try:
         return _plain(_load(data), 0)
     except Exception as error:  # as in read_array

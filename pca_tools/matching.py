@@ -32,13 +32,8 @@ def median_spacing(points: np.ndarray) -> float:
 
 
 def order_fault(points: np.ndarray, reference: np.ndarray, name: str) -> str:
-    """Says why points are not the reference's own, in its order; empty where they may be.
-
-    Args:
-        points: [N, 3] positions in frame 0 of a run, metres.
-        reference: [N, 3] those of the run that says which particle is which.
-        name: of that run, for the text.
-    """
+    """Says why points [N, 3] (m) of frame 0 of a run are not those of the reference [N, 3], the run
+    `name`, in its order; empty where they may be."""
     if len(points) != len(reference):
         return f'has {len(points)} particles, {name} {len(reference)}'
     spacing = median_spacing(reference)
@@ -66,18 +61,9 @@ def order_fault(points: np.ndarray, reference: np.ndarray, name: str) -> str:
 
 
 def match_particles(points: np.ndarray, reference: np.ndarray) -> np.ndarray:
-    """Finds the one-to-one matching of least total distance among near neighbours.
-
-    Args:
-        points: [N, 3] positions in one order.
-        reference: [N, 3] nearly the same positions in another.
-
-    Returns:
-        int [N] `order`, so that `points[order]` lies near `reference`, row by row.
-
-    Raises:
-        ValueError: numbers differ, or there is no such matching: not the same packing.
-    """
+    """Finds the one-to-one matching of least total distance among near neighbours: int [N] `order`,
+    so that `points[order]` lies near `reference`, row by row; both are [N, 3], m. ValueError:
+    numbers differ, or there is no such matching: not the same packing."""
     points, reference = np.asarray(points, np.float64), np.asarray(reference, np.float64)
     count = len(reference)
     if len(points) != count:

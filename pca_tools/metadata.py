@@ -15,6 +15,8 @@ import sys
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import numpy as np
+
 from pca_tools import files
 
 METADATA_NAME = 'metadata.json'
@@ -33,11 +35,8 @@ _REQUIRED = (
 
 def read_metadata(folder: str) -> dict[str, Any]:
     """Returns the checked metadata of a dataset folder, ours or the authors', as written.
-
-    Raises:
-        FileNotFoundError: the folder or the file is missing.
-        ValueError: not JSON, or keys and values that are not as expected, all of them listed.
-    """
+    FileNotFoundError: the folder or the file is missing. ValueError: not JSON, or keys and values
+    that are not as expected, all of them listed."""
     path, what = os.path.join(folder, METADATA_NAME), f'`lts import {folder}` says what it is'
     if not os.path.isdir(folder):
         raise FileNotFoundError(f'{folder}: no such dataset folder')
@@ -56,6 +55,17 @@ def union_of_bounds(every: Sequence[list[list[float]]]) -> list[list[float]]:
         [min(low for low, _ in pairs), max(high for _, high in pairs)]
         for pairs in zip(*every, strict=True)
     ]
+
+
+def non_finite(values: np.ndarray, *axes: str) -> str:
+    """Says how many values are not finite and where the first is, by the names of its last axes;
+    empty where all are finite."""
+    bad = np.argwhere(~np.isfinite(values))
+    if not len(bad):
+        return ''
+    axes = axes[-values.ndim :]
+    place = ', '.join(f'{axis} {index}' for axis, index in zip(axes, bad[0][-len(axes) :]))
+    return f'{len(bad)} NaN or infinite values, the first at {place}'
 
 
 def is_number(value: Any) -> bool:
@@ -83,10 +93,22 @@ def _list_of(is_one: Callable[[Any], bool], length: int | None = None) -> Callab
 def _is_body(value: Any) -> bool:
     return (
         isinstance(value, dict)
-        and isinstance(value.get('name'), str)
+        and _is_text(value.get('name'))
         and value.get('rigid_motion') in RIGID_MOTIONS[1:]
         and is_index(value.get('points'))
         and value['points'] > 0
+    )
+
+
+def _is_text(value: Any) -> bool:
+    return isinstance(value, str)
+
+
+def _is_pca(value: Any) -> bool:
+    return (
+        isinstance(value, dict)
+        and _is_text(value.get('file', ''))
+        and _list_of(_is_text)(value.get('fitted_on', []))
     )
 
 
@@ -126,17 +148,18 @@ _CHECKS: Checks = WORLD_CHECKS | {
     'context_mean': ('finite numbers', _list_of(is_number)),
     'context_std': ('numbers, none negative,', _list_of(lambda v: is_number(v) and v >= 0)),
     'schema_version': (f'{SCHEMA_VERSION}', lambda value: value == SCHEMA_VERSION),
-    'pca': ('an object', lambda value: isinstance(value, dict)),
+    'pca': ('an object with the file and the runs of the fit as texts', _is_pca),
+    'projection_floors': ('an object with lists of numbers', _of_splits('', is_number)[1]),
     'dataset_split': _of_splits('case id', lambda value: isinstance(value, (int, str))),
     'cases': _of_splits('object', lambda value: isinstance(value, dict)),
     'frames_of_runs': _of_splits('number', is_index),
     **dict.fromkeys(PROJECTION_KEYS, _of_splits('number', is_number)),
 }  # fmt: skip
 _SCENE_CHECKS: Checks = {
-    'name': ('a text', lambda value: isinstance(value, str)),
+    'name': ('a text', _is_text),
     'rigid_motion': (f'one of {RIGID_MOTIONS}', RIGID_MOTIONS.__contains__),
     'up_axis': ('0 (x), 1 (y) or 2 (z)', lambda value: is_index(value) and value < DIM),
-    'context_names': ('a list of texts', _list_of(lambda value: isinstance(value, str))),
+    'context_names': ('a list of texts', _list_of(_is_text)),
     'rigid_edges': ('a list of pairs of rigid points', _list_of(_list_of(is_index, 2))),
     'bodies': (
         f'a list of two or more objects with name, rigid_motion (one of {RIGID_MOTIONS[1:]}) and '

@@ -10,16 +10,12 @@ particles rest most of the time, so nearly all bytes are 0. Runs can be read one
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from pca_tools.metadata import DIM
-from pca_tools.packed_runs import FRAME_STRIDE, PackedRuns, write_runs
+from pca_tools.packing import PackedRuns
 
 SAMPLE_SIZE = 600
-# Metres; positions are kept to half of it.
-RESOLUTION = 4e-5
 SEED = 0
 
 
@@ -47,13 +43,6 @@ def choose_particles(points: np.ndarray) -> np.ndarray:
     return np.sort(np.int32(chosen))
 
 
-def write_sample(
-    path: str, packed: Sequence[tuple[bytes, int]], indices: np.ndarray, rest: np.ndarray
-) -> None:
-    """Writes the packed runs of a split; see `write_runs` and `ParticleSample`."""
-    write_runs(path, packed, rest, FRAME_STRIDE, RESOLUTION, indices=np.asarray(indices, np.int32))
-
-
 class ParticleSample(PackedRuns):
     """The particles of a split, unpacked one run at a time.
 
@@ -63,6 +52,7 @@ class ParticleSample(PackedRuns):
     """
 
     NAME, TITLE, KINDS = 'particles', 'particle sample', {'indices': ('i', 1)}
+    RESOLUTION = 4e-5
 
     indices: np.ndarray  # int32 [P], columns of the raw runs and rows of the subspace
 

@@ -92,15 +92,12 @@ def _save(figure, path: str) -> None:
 
 def compare_reductions(space: Subspace, runs: RawRuns, max_rows: int) -> list[dict]:
     """Measures PCA and kernel PCA, fitted on at most about `max_rows` rows (frame x axis), evenly
-    chosen.
+    chosen. The subspace's runs train, all other raw runs are held out; ValueError if either are
+    absent.
 
-    The subspace's runs train, all other raw runs are held out; ValueError if either are absent.
-
-    Returns:
-        A row for the stored subspace, for a PCA of the thinned frames, and for each kernel PCA:
-        `method`, `modes`, `train_mse` on the frames of the fit and `test_mse` on held-out runs
-        (m^2), CPU `fit_seconds`, and CPU `decode_ms` to rebuild the particles of a frame.
-    """
+    Returns a row for the stored subspace, for a PCA of the thinned frames, and for each kernel PCA:
+    `method`, `modes`, `train_mse` on the frames of the fit and `test_mse` on held-out runs (m^2),
+    CPU `fit_seconds`, and CPU `decode_ms` to rebuild the particles of a frame."""
     from sklearn import decomposition  # seconds to load, and help does not wait for it
 
     training = [i for i, case in enumerate(runs.cases) if str(case) in space.runs]

@@ -11,6 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pca_tools.metadata import non_finite
+
 MIN_POINTS = 3
 
 
@@ -42,11 +44,8 @@ def fit_rigid_motion(source: np.ndarray, target: np.ndarray) -> RigidMotion:
             f'{len(source)} points do not fix a rotation, at least {MIN_POINTS} are needed'
         )
     for name, points in (('source', source), ('target', target)):
-        if not np.all(np.isfinite(points)):
-            first = np.argwhere(~np.isfinite(points))[0]
-            raise ValueError(
-                f'{name} holds NaN or infinity, the first at point {first[0]}, axis {first[1]}'
-            )
+        if fault := non_finite(points, 'point', 'axis'):
+            raise ValueError(f'{name} holds {fault}')
     source_mean, target_mean = source.mean(axis=0), target.mean(axis=0)
     centred_source, centred_target = source - source_mean, target - target_mean
     left, _, right = np.linalg.svd(centred_source.T @ centred_target)
@@ -58,12 +57,9 @@ def fit_rigid_motion(source: np.ndarray, target: np.ndarray) -> RigidMotion:
 
 
 def placed(shape: np.ndarray, poses: np.ndarray) -> np.ndarray:
-    """Places points of a body, x = p + R(q) s (Euler-Rodrigues): float64 [T, R, 3], m.
-
-    Args:
-        shape: [R, 3] s, places on the upright body from its reference point, m.
-        poses: [T, 7] position p (m) and quaternion q (w, x, y, z).
-    """
+    """Places points of a body, x = p + R(q) s (Euler-Rodrigues): float64 [T, R, 3], m, of `shape`
+    [R, 3] s, places on the upright body from its reference point (m), and `poses` [T, 7], position
+    p (m) and quaternion q (w, x, y, z)."""
     poses = np.asarray(poses, np.float64)
     return poses[:, None, :3] + _turned(np.asarray(shape, np.float64)[None], poses[:, 3:])
 

@@ -7,9 +7,6 @@ so errors of both are of one truth.
 Examples:
     python -m pca_tools.subset --data_path=datasets/excavation --train_runs=28 --output_path=few
     python -m pca_tools.subset --data_path=datasets/excavation --kinds=grid --output_path=grid
-
-    # judged on these kinds alone, too
-    python -m pca_tools.subset --data_path=whole --kinds=grid --every_split --output_path=grid_only
 """
 
 from __future__ import annotations
@@ -32,24 +29,12 @@ def subset(
     overwrite: bool = False,
     every_split: bool = False,
 ) -> dict[str, Any]:
-    """Writes a dataset with fewer training runs.
+    """Writes a dataset with fewer training runs: `train_runs` of them (0: all) of some kinds (none:
+    all), spread over all; valid and test, too, hold these kinds alone with `every_split`.
 
-    Args:
-        data_path: a dataset of `convert` with a particle sample.
-        output_path: the smaller one.
-        train_runs: how many, spread over those of the kinds; 0: all of them.
-        kinds: of training runs; none: all.
-        overwrite: replace a finished dataset.
-        every_split: valid and test, too, hold these kinds alone, all runs of them.
-
-    Returns:
-        Its metadata.
-
-    Raises:
-        FileNotFoundError: a file is missing.
-        ValueError: no training runs, a kind or a number of runs that the dataset does not have; a
-            split without any, or no kinds, with `every_split`; an output that is occupied.
-    """
+    Returns its metadata. FileNotFoundError: a file is missing. ValueError: a dataset without a
+    particle sample or training runs, a kind or a number of runs that it does not have; a split
+    without any, or no kinds, with `every_split`; an output that is occupied."""
     if every_split and not kinds:
         raise ValueError('every_split keeps some kinds of runs alone, but no kinds were named')
     encode.refuse_occupied_output(output_path, overwrite)
@@ -104,15 +89,13 @@ def define_flags() -> None:
     flags.DEFINE_string('output_path', None, 'Folder of the smaller dataset.', required=True)
     flags.DEFINE_integer('train_runs', 0, 'Training runs, spread over all; 0: all.', lower_bound=0)
     flags.DEFINE_list('kinds', [], 'Kinds of training runs; default: all.')
-    flags.DEFINE_bool('every_split', False, 'Only these kinds in valid and test, too.')
     flags.DEFINE_bool('overwrite', False, 'Replace a finished dataset.')
 
 
 def main(values) -> None:
     metadata = subset(
-        values.data_path, values.output_path, values.train_runs, values.kinds,
-        values.overwrite, values.every_split,
-    )  # fmt: skip
+        values.data_path, values.output_path, values.train_runs, values.kinds, values.overwrite
+    )
     print(convert.summary(metadata, values.output_path))
 
 

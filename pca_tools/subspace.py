@@ -18,9 +18,10 @@ import warnings
 from collections.abc import Sequence
 
 import numpy as np
+from tqdm import tqdm
 
-from pca_tools import decompose, files
-from pca_tools.decompose import DIM, decompose_covariance, decompose_matrix
+from pca_tools import files
+from pca_tools.metadata import DIM, non_finite
 
 CENTERINGS = ('configuration', 'scalar')
 SUBSPACE_NAME = 'subspace.npz'
@@ -29,44 +30,37 @@ SPECTRUM_LENGTH = 64
 # A cut between two singular values closer than this leaves the last mode free to turn from fit to
 # fit.
 CLUSTER_GAP = 0.05
+# An SVD holds the matrix, its copy and both factors; a rank-k update and an eigenvalue solver in
+# place hold the N x N matrix and one spare copy of it.
+SVD_COPIES, COVARIANCE_COPIES = 4, 2
+# Of a covariance on workers: the matrix that comes back is as large as ten runs.
+RUNS_PER_TASK = 16
+_MAGNITUDE_TIE = 1e-9
 # Arrays of a stored subspace that hold one value.
 _SCALARS = ('total_energy', 'n_rows', 'centering', 'digest')
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Subspace:
-    """Mean and modes of the soil, with what is needed to judge them.
+    """Mean and modes of the soil, with what is needed to judge them."""
 
-    Attributes:
-        mean: float64, [N, 3] for centering `configuration`, [] for `scalar`; metres.
-        components: float64 [N, r], orthonormal columns.
-        singular_values: float64 [S], S >= r leading singular values of X - mean, descending;
-            metres.
-        total_energy: sum of squares of all entries of X - mean; m^2.
-        n_rows: rows of X = runs * frames * 3.
-        centering: `configuration` or `scalar`.
-        runs: names of the runs it was fitted on (training runs only).
-        initial: float64 [N, 3], frame 0 of the first of them, metres; says which particle a column
-            is.
-    """
-
-    mean: np.ndarray
-    components: np.ndarray
+    mean: np.ndarray  # float64, [N, 3] for centering `configuration`, [] for `scalar`; metres
+    components: np.ndarray  # float64 [N, r], orthonormal columns
+    # float64 [S], S >= r leading singular values of X - mean, descending; metres
     singular_values: np.ndarray
-    total_energy: float
-    n_rows: int
-    centering: str
-    runs: tuple[str, ...]
+    total_energy: float  # sum of squares of all entries of X - mean; m^2
+    n_rows: int  # rows of X = runs * frames * 3
+    centering: str  # `configuration` or `scalar`
+    runs: tuple[str, ...]  # names of the runs it was fitted on (training runs only)
+    # float64 [N, 3], frame 0 of the first of them, metres; says which particle a column is
     initial: np.ndarray
 
     @property
     def n_soil(self) -> int:
-        """N."""
         return self.components.shape[0]
 
     @property
     def n_modes(self) -> int:
-        """r."""
         return self.components.shape[1]
 
     @functools.cached_property
@@ -114,7 +108,8 @@ class Subspace:
             raise ValueError(
                 f'positions have shape {x.shape}, [..., {self.n_soil}, {DIM}] was expected'
             )
-        decompose.refuse_non_finite(x, 'positions')
+        if fault := non_finite(x, 'frame', 'particle', 'axis'):
+            raise ValueError(f'positions: {fault}')
         return np.einsum('...nk,nr->...rk', x - self.mean, self.components, optimize=True)
 
     def decode(self, z: np.ndarray) -> np.ndarray:
@@ -137,12 +132,8 @@ class Subspace:
 
     @classmethod
     def load(cls, path: str) -> Subspace:
-        """Reads a subspace written by `save`.
-
-        Raises:
-            FileNotFoundError: there is no such file.
-            ValueError: damaged or foreign file, arrays that do not fit, or a digest that disagrees.
-        """
+        """Reads a subspace written by `save`. FileNotFoundError: there is no such file. ValueError:
+        damaged or foreign file, arrays that do not fit, or a digest that disagrees."""
         arrays = files.read_npz(path)
         names = {field.name for field in dataclasses.fields(cls)}
         if missing := (names | {'digest'}) - arrays.keys():
@@ -186,7 +177,6 @@ def fit(
     centering: str = 'configuration',
     max_memory_mb: float = 1024.0,
     names: Sequence[str] | None = None,
-    progress=lambda sequence, label: sequence,
     spare_modes: int = 0,
     crew=None,
 ) -> Subspace:
@@ -203,7 +193,6 @@ def fit(
         centering: `configuration` (mean position of each particle) or `scalar` (one number).
         max_memory_mb: largest memory of the fit in MiB, beside one run.
         names: names of the runs, for messages and the record; default 0, 1, ...
-        progress: wraps a pass over the runs, called with the sequence and a label.
         spare_modes: further modes to keep where the data have them, to measure what they would
             bring; `Subspace.truncated` drops them.
         crew: `pca_tools.workers.Workers` that sum up the covariance, in parts; runs must then have
@@ -220,7 +209,7 @@ def fit(
     names = tuple(str(index) for index in range(len(runs))) if names is None else tuple(names)
     if len(names) != len(runs):
         raise ValueError(f'{len(names)} names were given for {len(runs)} runs')
-    mean, n_rows, largest = decompose.mean_configuration(runs, names, centering, progress)
+    mean, n_rows, largest = _mean_configuration(runs, names, centering)
     n_soil = len(mean) if mean.ndim else runs[0].shape[1]
     limit = min(n_rows, n_soil)
     if n_modes > limit:
@@ -230,14 +219,14 @@ def fit(
         )
     length = min(max(SPECTRUM_LENGTH, n_modes + spare_modes + 1), limit)
     budget = max_memory_mb * 2**20
-    if decompose.SVD_COPIES * 8 * n_rows * n_soil <= budget:
-        values, vectors, energy = decompose_matrix(runs, mean, length, progress)
+    if SVD_COPIES * 8 * n_rows * n_soil <= budget:
+        values, vectors, energy = _decompose_matrix(runs, mean, length)
         noise = max(n_rows, n_soil) * np.finfo(np.float64).eps
-    elif decompose.COVARIANCE_COPIES * 8 * n_soil**2 <= budget:
-        values, vectors, energy = decompose_covariance(runs, mean, n_soil, length, progress, crew)
+    elif COVARIANCE_COPIES * 8 * n_soil**2 <= budget:
+        values, vectors, energy = _decompose_covariance(runs, mean, n_soil, length, crew)
         noise = np.sqrt(n_soil * np.finfo(np.float64).eps)
     else:
-        needed = decompose.COVARIANCE_COPIES * 8 * n_soil**2 / 2**20
+        needed = COVARIANCE_COPIES * 8 * n_soil**2 / 2**20
         raise ValueError(
             f'the covariance of {n_soil} particles needs {needed:.0f} MiB, the limit is '
             f'{max_memory_mb:.0f}: raise --max_memory_mb or keep fewer particles'
@@ -249,7 +238,7 @@ def fit(
         raise ValueError(f'asked for {n_modes} modes, data rank is {rank}')
     subspace = Subspace(
         mean=mean,
-        components=decompose.fix_signs(vectors[:, : min(n_modes + spare_modes, rank, length)]),
+        components=_fix_signs(vectors[:, : min(n_modes + spare_modes, rank, length)]),
         singular_values=values,
         total_energy=energy,
         n_rows=n_rows,
@@ -265,3 +254,109 @@ def fit(
             stacklevel=2,
         )
     return subspace
+
+
+def _mean_configuration(runs, names, centering) -> tuple[np.ndarray, int, float]:
+    """Returns the mean ([N, 3] or []), the number of rows and the largest coordinate in magnitude;
+    refuses runs that cannot be fitted."""
+    total, frames, n_soil, largest = 0.0, 0, None, 0.0
+    for name, run in zip(names, tqdm(runs, 'mean', unit='run')):
+        if run.ndim != 3 or run.shape[2] != DIM or run.shape[1] == 0:
+            raise ValueError(
+                f'run {name}: positions have shape {run.shape}, [T, N, 3] was expected'
+            )
+        if n_soil not in (None, run.shape[1]):
+            raise ValueError(
+                f'run {name} has {run.shape[1]} particles, the runs before it {n_soil}; a column '
+                'must be the same particle in all runs'
+            )
+        n_soil = run.shape[1]
+        if fault := non_finite(run, 'frame', 'particle', 'axis'):
+            raise ValueError(f'run {name}: {fault}')
+        total = total + run.sum(axis=0, dtype=np.float64)
+        frames += len(run)
+        largest = max(largest, float(np.abs(run).max()))
+    if frames < 2:
+        raise ValueError(f'{len(runs)} runs with {frames} frames in all: need at least 2 frames')
+    configuration = total / frames
+    mean = configuration if centering == 'configuration' else np.asarray(configuration.mean())  # type: ignore[attr-defined]
+    return mean, frames * DIM, largest  # type: ignore[return-value]
+
+
+def _rows(run: np.ndarray, mean: np.ndarray) -> np.ndarray:
+    """Returns float64 [T * 3, N], row k + 3 i = axis k of frame i, centred."""
+    return np.ascontiguousarray((np.asarray(run, np.float64) - mean).transpose(0, 2, 1)).reshape(
+        -1, run.shape[1]
+    )
+
+
+def _decompose_matrix(runs, mean, length):
+    """Returns singular values [S], vectors [N, S] and total energy from the whole matrix."""
+    matrix = np.concatenate([_rows(run, mean) for run in tqdm(runs, 'matrix', unit='run')])
+    energy = float(np.sum(matrix**2))
+    if energy == 0.0:
+        return np.zeros(length), np.zeros((matrix.shape[1], length)), energy
+    if mean.ndim:
+        from sklearn import decomposition  # slow to load, and only fits need it
+
+        # Columns sum to zero already, so the mean that PCA subtracts itself is round-off.
+        model = decomposition.PCA(n_components=length, svd_solver='full').fit(matrix)
+        return model.singular_values_, model.components_.T, energy
+    from scipy import linalg
+
+    # The scalar mean leaves the columns uncentered, and PCA would centre them.
+    _, values, vectors = linalg.svd(matrix, full_matrices=False, overwrite_a=True)
+    return values[:length], vectors[:length].T, energy
+
+
+def _decompose_covariance(runs, mean, n_soil, length, crew=None):
+    """Returns singular values [S], vectors [N, S] and total energy from the summed covariance."""
+    from scipy import linalg  # as slow to load as numpy, and whoever only reads modes needs it not
+
+    if crew is None:
+        covariance = sum_covariance((tqdm(runs, 'covariance', unit='run'), mean, n_soil))
+    else:
+        covariance = _sum_in_parts(crew, runs, mean, n_soil)
+    energy = float(np.trace(covariance))
+    values, vectors = linalg.eigh(
+        covariance, lower=False, overwrite_a=True, check_finite=False,
+        subset_by_index=[n_soil - length, n_soil - 1],
+    )  # fmt: skip
+    return np.sqrt(np.maximum(values[::-1], 0.0)), vectors[:, ::-1], energy
+
+
+def sum_covariance(part: tuple) -> np.ndarray:
+    """Returns the covariance [N, N] (upper triangle) of some runs, (runs, mean, N)."""
+    from scipy import linalg
+
+    runs, mean, n_soil = part
+    covariance = np.zeros((n_soil, n_soil), order='F')
+    for run in runs:
+        matrix = _rows(run, mean)
+        covariance = linalg.blas.dsyrk(1.0, matrix.T, beta=1.0, c=covariance, overwrite_c=True)
+    return covariance
+
+
+def _sum_in_parts(crew, runs, mean, n_soil) -> np.ndarray:
+    """Sums covariances on workers, each a part of the runs. The parts do not depend on the number
+    of workers and are added in their order, so neither does the sum."""
+    starts = range(0, len(runs), RUNS_PER_TASK)
+    parts = [(runs.part(start, start + RUNS_PER_TASK), mean, n_soil) for start in starts]
+    total, early = np.zeros((n_soil, n_soil), order='F'), {}
+    added = 0
+    for outcome in tqdm(crew.run(sum_covariance, parts), 'covariance, parts', len(parts)):
+        if outcome.error is not None:
+            raise ValueError(f'covariance of part {outcome.index}: {outcome.error}')
+        early[outcome.index] = outcome.value
+        while added in early:
+            total += early.pop(added)
+            added += 1
+    return total
+
+
+def _fix_signs(vectors: np.ndarray) -> np.ndarray:
+    """Turns each column so that its largest entry (lowest index on a tie) is positive."""
+    magnitudes = np.abs(vectors)
+    largest = np.argmax(magnitudes >= (1.0 - _MAGNITUDE_TIE) * magnitudes.max(axis=0), axis=0)
+    signs = np.sign(vectors[largest, np.arange(vectors.shape[1])])
+    return np.ascontiguousarray(vectors * signs)

@@ -84,13 +84,9 @@ class SequenceRecord:
 
 def scan_record_headers(path: str) -> list[tuple[int, int]]:
     """Returns (offset, data length) in bytes of every record of a TFRecord file, by walking its
-    headers without reading its data.
-
-    Raises:
-        FileNotFoundError: there is no such file.
-        ValueError: empty file, git-lfs pointer, foreign file, oversized or truncated record; with
-            file, record and offset.
-    """
+    headers without reading its data. FileNotFoundError: there is no such file. ValueError, with
+    file, record and offset: empty file, git-lfs pointer, foreign file, oversized or truncated
+    record."""
     files.refuse_git_lfs_pointer(path)
     size = os.path.getsize(path)
     records: list[tuple[int, int]] = []
@@ -145,12 +141,8 @@ def read_records(path: str) -> Iterator[SequenceRecord]:
 
 
 def parse_sequence_example(data: bytes, where: str) -> SequenceRecord:
-    """Parses one serialised SequenceExample.
-
-    Raises:
-        ValueError: the message is foreign or lacks a feature of the schema; `where` names file and
-            record.
-    """
+    """Parses one serialised SequenceExample. ValueError, with `where`, which names file and record:
+    it is foreign or lacks a feature of the schema."""
     tf = _tensorflow()
     from google.protobuf.message import DecodeError
 
@@ -199,12 +191,8 @@ def serialise_sequence_example(record: SequenceRecord) -> bytes:
 
 
 def write_records(path: str, records: Iterable[SequenceRecord]) -> int:
-    """Writes a TFRecord file whole or not at all and returns the number of records.
-
-    Raises:
-        OSError: the file could not be written (for instance a full disk); nothing is left under its
-            name.
-    """
+    """Writes a TFRecord file whole or not at all and returns the number of records. OSError: it
+    could not be written (for instance a full disk); nothing is left under its name."""
     tf = _tensorflow()
     count = 0
 

@@ -49,11 +49,8 @@ class Workers:
 
     def run(self, function: Callable[[Any], Any], inputs: Sequence[Any]) -> Iterator[Outcome]:
         """Yields the outcome of every input, one task each, as it is there, in any order; the
-        function is of a module that the workers can import too.
-
-        Raises:
-            OSError: the pool lost a process (Dask does not mind), or the scheduler is gone.
-        """
+        function is of a module that the workers can import too. OSError: the pool lost a process
+        (Dask does not mind), or the scheduler is gone."""
         if self._pool:
             yield from self._run_pool(self._pool, function, inputs)
         else:
@@ -109,17 +106,9 @@ class Workers:
 
 @contextlib.contextmanager
 def start(where: str = '', processes: int | None = None) -> Iterator[Workers]:
-    """Starts the workers for the length of a `with` block.
-
-    Args:
-        where: see the module.
-        processes: of a pool or of 'local' and 'slurm' without a number; default one per core.
-
-    Raises:
-        ValueError: an unknown word.
-        ModuleNotFoundError: Dask is not installed.
-        OSError: no scheduler answers.
-    """
+    """Starts the workers for the length of a `with` block: `where` as the module says, `processes`
+    of a pool or of 'local' and 'slurm' without a number, default one per core. ValueError: an
+    unknown word. ModuleNotFoundError: Dask is not installed. OSError: no scheduler answers."""
     kind, _, number = where.partition(':')
     if kind not in ('', 'local', 'slurm', 'tcp', 'tls'):
         raise ValueError(

@@ -122,15 +122,18 @@ def check_run(run: FullSpaceRun, where: str) -> FullSpaceRun:
     return run
 
 
-def type_column(values: Any, count: int, where: str) -> np.ndarray:
-    """Returns particle types as int64 [count]; one number stands for all particles. ValueError,
-    with `where`: they are not whole numbers."""
+def particle_types(values: Any, positions: np.ndarray, where: str) -> np.ndarray:
+    """Returns the types of the particles of positions [T, P, D] as int64 [P]; one number stands for
+    all particles. ValueError, with `where`: they are not whole numbers or do not fit."""
     array = np.asarray(values)
+    if positions.ndim != 3:
+        raise ValueError(f'{where}: positions have shape {positions.shape}, [T, N, D] was expected')
     if array.dtype.kind not in 'fiu' or not (array == np.rint(array)).all():
         raise ValueError(f'{where}: particle types are not whole numbers ({array.dtype})')
-    if array.ndim == 2 and array.shape[1] == 1:
-        array = array[:, 0]
-    return np.full(count, array, np.int64) if array.ndim == 0 else array.astype(np.int64)
+    count = positions.shape[1]
+    if array.size not in (1, count):
+        raise ValueError(f'{where}: {count} particles have types of shape {array.shape}')
+    return np.full(count, array.ravel(), np.int64)
 
 
 def find_up_axis(data: FullSpaceData, bounds: list[list[float]]) -> tuple[int | None, str]:

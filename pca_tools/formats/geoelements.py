@@ -38,17 +38,9 @@ def _read_file(path: str) -> Iterator[tuple[Any, dict[str, Any]]]:
         where = f'{path}: trajectory {index}'
         if not isinstance(item, (list, tuple)) or len(item) not in (2, 3):
             raise ValueError(f'{where}: is no (positions, types[, material property])')
-        positions, types = np.asarray(item[0]), np.asarray(item[1])
-        if positions.ndim != 3:
-            raise ValueError(
-                f'{where}: positions have shape {positions.shape}, [T, N, D] was expected'
-            )
-        count = positions.shape[1]
-        if types.dtype.kind not in 'iuf' or types.size not in (1, count):
-            raise ValueError(f'{where}: {count} particles have types of shape {types.shape}')
-        types = types.reshape(()) if types.size == 1 else types
-        kinds = full_space.type_column(types, count, where)
-        yield index, {'positions': positions, 'particle_type': kinds}
+        positions = np.asarray(item[0])
+        types = full_space.particle_types(item[1], positions, where)
+        yield index, {'positions': positions, 'particle_type': types}
 
 
 def read_trajectories(path: str) -> list[Any]:

@@ -64,12 +64,12 @@ def _arrays(group, where: str) -> dict[str, Any]:
         held = sorted(group) if isinstance(group, h5py.Group) else type(group).__name__
         raise ValueError(f'{where}: holds {held}; position and particle_type were expected')
     stored, types = group[key], group['particle_type']
-    if stored.dtype.kind not in 'fiu' or stored.size * stored.dtype.itemsize > files.MAX_BYTES:
-        raise ValueError(f'{where}: position has {stored.shape}, {stored.dtype}')
+    if stored.dtype.kind not in 'fiu' or stored.nbytes + types.nbytes > files.MAX_BYTES:
+        raise ValueError(
+            f'{where}: position has {stored.shape}, {stored.dtype}, {types.shape} types'
+        )
     positions = stored[()]
-    if types.size not in (1, positions.shape[1] if positions.ndim > 1 else 0):
-        raise ValueError(f'{where}: {types.shape} types for positions of {positions.shape}')
-    theirs = full_space.type_column(types[()], positions.shape[1], where)
+    theirs = full_space.particle_types(types[()], positions, where)
     kept = theirs != _PADDING
     # Their converter from DeepMind's records does not map types: 5 and above are already ours.
     known = _TYPES | {kind: kind for kind in (5, 6, 7)}

@@ -84,12 +84,12 @@ def _dt_of(arrays: dict[str, np.ndarray]) -> float | None:
 
 def _run_of(path: str) -> FullSpaceRun:
     arrays = files.read_npz(path)
-    if 'positions' not in arrays or arrays['positions'].ndim != 3:
+    if 'positions' not in arrays:
         held = {key: value.shape for key, value in arrays.items()}
         raise ValueError(f'{path}: holds {held}; positions [T, N, D] was expected')
     soil, body = arrays['positions'], arrays.get('rigid_positions', np.empty(0))
     types = arrays.get('particle_type', np.int64(SOIL_TYPE))
-    types = full_space.type_column(types, soil.shape[1], path)
+    types = full_space.particle_types(types, soil, path)
     if body.size:
         if body.ndim != 3 or len(body) != len(soil) or body.shape[2] != soil.shape[2]:
             raise ValueError(f'{path}: rigid_positions have shape {body.shape} beside {soil.shape}')

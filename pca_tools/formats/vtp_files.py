@@ -39,17 +39,9 @@ def write_points(
     point_data: Mapping[str, np.ndarray],
     field_data: Mapping[str, np.ndarray],
 ) -> None:
-    """Writes a point cloud as `.vtp`.
-
-    Args:
-        path: the file.
-        points: [P, 3] m.
-        point_data: name -> [P] or [P, k] values of the points.
-        field_data: name -> [k] values of the whole cloud.
-
-    Raises:
-        ValueError: an array of the wrong length, or of a type that VTK does not have.
-    """
+    """Writes points [P, 3] (m) as `.vtp`, with values [P] or [P, k] of the points and [k] of the
+    whole cloud by name. ValueError: an array of the wrong length, or of a type that VTK does not
+    have."""
     points = np.asarray(points)
     if points.ndim != 2 or points.shape[1] != 3:
         raise ValueError(f'{path}: points have shape {points.shape}, [P, 3] was expected')
@@ -115,15 +107,9 @@ def _array(name: str, values: np.ndarray, attributes: str = '') -> str:
 
 
 def read_points(path: str) -> tuple[np.ndarray, dict[str, np.ndarray], dict[str, np.ndarray]]:
-    """Reads a `.vtp`; the counterpart of `write_points`.
-
-    Returns:
-        points [P, 3], point data and field data by name.
-
-    Raises:
-        ModuleNotFoundError: the package `vtk` is not installed.
-        ValueError: damaged file, or one without points.
-    """
+    """Reads a `.vtp`: points [P, 3], point data and field data by name, as `write_points` takes
+    them. ModuleNotFoundError: the package `vtk` is not installed. ValueError: damaged, or no
+    points."""
     try:
         import vtk
         from vtk.util.numpy_support import vtk_to_numpy
@@ -227,12 +213,12 @@ def _run_of(name: str, paths: list[str]) -> FullSpaceRun:
         raise ValueError(f'{paths[0]}: the frames of its run have {counts} points')
     data, fields = frames[0][1], [field for _, _, field in frames]
     types = next((data[key] for key in _TYPE_NAMES if key in data), np.int64(SOIL_TYPE))
-    types = full_space.type_column(types, counts[0], paths[0])
     force = None
     if all('force' in field for field in fields):
         force = np.array([field['force'].ravel() for field in fields])
     split = next((split for split in SPLITS if name.startswith(split)), '')
     positions = np.stack([points for points, _, _ in frames])
+    types = full_space.particle_types(types, positions, paths[0])
     return full_space.check_run(FullSpaceRun(name, split, positions, types, force), paths[0])
 
 

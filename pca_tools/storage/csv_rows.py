@@ -10,16 +10,10 @@ def rows(
 ) -> Iterator[tuple[int, dict[str, str], dict[str, float]]]:
     """Yields the line, the texts and the numbers of every row that is not empty, by column.
 
-    Args:
-        path: the file.
-        numbers_of: header -> the columns that hold numbers; raises what the header lacks.
-        may_be_empty: columns whose empty cells are NaN.
-
-    Raises:
-        FileNotFoundError: there is no such file.
-        ValueError: no CSV text, a column that comes twice, a row of another length, or a cell that
-            is no finite number; with the file and the line.
-    """
+    `numbers_of` gives for a header the columns that hold numbers, and raises what it lacks; empty
+    cells of the columns `may_be_empty` are NaN. FileNotFoundError: there is no such file.
+    ValueError, with file and line: no CSV text, a column that comes twice, a row of another length,
+    or a cell that is no finite number."""
     with open(path, encoding='utf-8-sig', newline='') as file:
         try:
             lines = csv.reader(file)

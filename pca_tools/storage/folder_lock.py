@@ -21,12 +21,9 @@ _MAX_BYTES = 4096
 
 @contextlib.contextmanager
 def locked(folder: str) -> Iterator[None]:
-    """Holds the lock of a folder, made if absent, for the length of a `with` block.
-
-    Raises:
-        ValueError: another process holds it (the message says which one), or the lock is a link.
-        OSError: the folder cannot be written, or its file system has no locks.
-    """
+    """Holds the lock of a folder, made if absent, for the length of a `with` block. ValueError:
+    another process holds it (the message says which one), or the lock is a link. OSError: the
+    folder cannot be written, or its file system has no locks."""
     os.makedirs(folder, exist_ok=True)
     path = os.path.join(folder, LOCK_NAME)
     handle = _open_locked(path)

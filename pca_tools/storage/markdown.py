@@ -14,13 +14,9 @@ def cell(value, digits: int = 3) -> str:
 
 
 def table(header: Sequence[str], rows: Iterable[Sequence], aligned: bool = False) -> str:
-    """A table as Markdown, without a newline at its end.
-
-    Args:
-      header: titles of the columns.
-      rows: values as `cell` takes them; a row may lack cells at its end, more are a ValueError.
-      aligned: whether columns are filled up, to be read in a terminal.
-    """
+    """A table as Markdown, without a newline at its end, of values as `cell` takes them; a row may
+    lack cells at its end, more are a ValueError. `aligned`: columns are filled up, to be read in a
+    terminal."""
     lines = [list(header)]
     for row in rows:
         if len(row) > len(header):

@@ -38,14 +38,8 @@ def _stem(name: str) -> str:
 
 def write_atomically(path: str, write: Callable[[str], None]) -> None:
     """Writes a file under a temporary name and moves it into place only when it is complete.
-
-    Args:
-        path: final name; its folder must exist.
-        write: called with the temporary name, an empty file in the same folder, which it writes.
-
-    Raises:
-        OSError: with the path, if the folder is missing or full; an older file stays.
-    """
+    `write` is called with the temporary name, an empty file in the same folder, which must exist.
+    OSError, with the path: the folder is missing or full; an older file stays."""
     path = os.path.abspath(path)
     _check_name(path)
     temporary = temporary_beside(path)
@@ -89,23 +83,17 @@ def write_json(path: str, content: Any, indent: int = 2) -> None:
 
 
 def write_folder_atomically(path: str, fill: Callable[[str], None], replace: bool = True) -> None:
-    """Fills a folder under a temporary name and moves it into place only when it is complete.
+    """Lets `fill` fill a folder of a temporary name and moves it into place only when it is
+    complete. A folder of that name is replaced with `replace`; else it must be empty or absent,
+    also by the time that the new one is complete.
 
     That the name can be taken is tried before the work. A link is followed to the folder that it
     means. An older folder changes places with the new one in one call where the system can; where
     it cannot, a kill between two renames is mended by the next call (`recover_folder`). A mount
     point, which cannot be renamed, is filled file by file, each moved in when all are complete.
 
-    Args:
-        path: final name.
-        fill: called with the temporary folder.
-        replace: whether a folder of that name is replaced; else it must be empty or absent, also by
-            the time that the new one is complete.
-
-    Raises:
-        OSError: the name cannot be taken, a file could not be written, or another writer was
-            faster; an older folder stays.
-    """
+    OSError: the name cannot be taken, a file could not be written, or another writer was faster; an
+    older folder stays."""
     path = os.path.realpath(path)
     _check_name(path)
     os.makedirs(os.path.dirname(path), exist_ok=True)
@@ -140,18 +128,12 @@ def _temporary_folder(beside: str) -> Iterator[str]:
 def replace_files(
     folder: str, fill: Callable[[str], None], is_old: Callable[[str], bool], last: str
 ) -> None:
-    """Replaces a set of files in a folder that keeps its other ones; the folder's one writer calls.
+    """Replaces the files of a folder whose names are `is_old`, and keeps its other ones; the
+    folder's one writer calls. `fill` is called with a temporary folder, which it fills with files.
 
-    Nothing changes before all new files are complete. From then on `last` is absent until the set
-    is whole again, so a set with it is never mixed. OSError: one could not be written, the old set
-    stays.
-
-    Args:
-        folder: present.
-        fill: called with a temporary folder, which it fills with files.
-        is_old: whether a name belongs to the set.
-        last: the file of the set that says that the others are there.
-    """
+    Nothing changes before all new files are complete. From then on `last`, one of the set, is
+    absent until the set is whole again, so a set with it is never mixed. OSError: one could not be
+    written, the old set stays."""
     for name in os.listdir(folder):  # of writers that were killed
         if name.startswith(_stem(last)) and name.endswith(TEMPORARY):
             shutil.rmtree(os.path.join(folder, name), ignore_errors=True)

@@ -13,7 +13,7 @@ from learning_to_simulate import checkpoints, presets, reading_utils
 from learning_to_simulate.live import starts
 from learning_to_simulate.subspace import method, trainer
 from learning_to_simulate.training import loop
-from pca_tools import convert, dataset, raw_writer
+from pca_tools import convert, dataset, raw_runs
 
 FRAMES, N_SOIL, R, MODES = 12, 40, 4, 3
 TINY = {'latent_size': 4, 'hidden_layers': 1, 'num_steps': 6, 'unroll_steps': 0, 'mode_edges': 4}
@@ -33,7 +33,7 @@ def write_raw(folder: str) -> None:
             'context': {'friction_angle_deg': 30.0 + 10.0 * speed},
         }
 
-    raw_writer.write_raw(folder, map(run, (0.2, 0.3, 0.4, 0.5, 0.6)), 1 / 60, up_axis='y')
+    raw_runs.write_raw(folder, map(run, (0.2, 0.3, 0.4, 0.5, 0.6)), 1 / 60, up_axis='y')
 
 
 def cheap_step(self: trainer.Trainer, step: int) -> dict:

@@ -32,6 +32,7 @@ from nri.config import NriConfig
 from pca_tools import (
     dataset,
     files,
+    formats,
     heights,
     legacy_pickles,
     packing,
@@ -39,7 +40,7 @@ from pca_tools import (
     raw_runs,
     subspace,
 )
-from pca_tools.formats import detect, full_space
+from pca_tools.formats import full_space
 from tests.faults import small
 from tests.faults.small import FRAMES, MODES, copies
 
@@ -231,7 +232,7 @@ def _import(name: str, changed: tuple[str, ...]) -> Target:
     `write_raw`."""
 
     def read(folder):
-        runs = detect.FORMATS[name].read(folder, 0.1).runs()
+        runs = formats.FORMATS[name].read(folder, 0.1).runs()
         return [(run.positions, run.particle_type, run.force, run.context) for run in runs]
 
     def possible(runs):
@@ -245,16 +246,16 @@ def _import(name: str, changed: tuple[str, ...]) -> Target:
         )
 
     def write(folder):
-        detect.FORMATS[name].write(folder, _full_space_data())
+        formats.FORMATS[name].write(folder, _full_space_data())
 
     return Target(f'import {name}', Promise.OPEN, write, changed, read, possible)
 
 
 def _write_sample(folder):
     positions = _rng().uniform(0.0, 1.0, (5, 4, 3))
-    packed = [(packing.pack_steps(positions, positions[0], particles.RESOLUTION), 5)]
-    path = os.path.join(folder, 'particles_train.npz')
-    particles.write_sample(path, packed, np.arange(4), positions[0])
+    packed = [(packing.pack_steps(positions, positions[0], 4e-5), 5)]
+    indices = np.arange(4, dtype=np.int32)
+    particles.ParticleSample.write(folder, 'train', packed, positions[0], indices=indices)
 
 
 def _possible_sample(runs):
@@ -262,9 +263,10 @@ def _possible_sample(runs):
 
 
 def _write_heights(folder):
-    grid = heights.Grid((5, 4), (0.1, 0.1), (0.01, 0.02))
-    packed = [heights.pack(_rng().uniform(0.2, 0.3, (9, *grid.shape))) for _ in range(2)]
-    heights.write(f'{folder}/heights_train.npz', packed, grid)
+    maps, rest = _rng().uniform(0.2, 0.3, (9, 5, 4)), np.zeros((5, 4))
+    place = {'corner': np.array([0.1, 0.1]), 'cell': np.array([0.01, 0.02])}
+    packed = [heights.Heights.pack(maps, rest)] * 2
+    heights.Heights.write(folder, 'train', packed, rest, **place)
 
 
 def _read_heights(folder):

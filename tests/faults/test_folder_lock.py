@@ -56,9 +56,9 @@ def test_lock_of_a_killed_process_is_taken_over_with_a_message(tmp_path, holder,
     assert os.listdir(tmp_path) == []
 
 
-@pytest.mark.parametrize('text', ['[]', '{"host": "a", "pid": -1}', '{"pid"', '{}', '[' * 9000])
+@pytest.mark.parametrize('text', ['', '[]', '{"host": "a", "pid": -1}', '{"pid"', '[' * 9000])
 def test_what_a_lock_says_decides_nothing(tmp_path, text):
-    """The system knows whether its owner lives."""
+    """The system knows whether its owner lives; one that was killed early has written nothing."""
     (tmp_path / folder_lock.LOCK_NAME).write_text(text)
     assert take(tmp_path)['pid'] == os.getpid()
 
@@ -111,12 +111,6 @@ def test_a_file_system_without_locks_is_named(tmp_path, monkeypatch):
     monkeypatch.setattr(fcntl, 'flock', flock)
     with pytest.raises(OSError, match='cannot be locked .No locks available.; name a folder on'):
         take(tmp_path)
-
-
-def test_kill_while_the_lock_is_made_blocks_nobody(tmp_path):
-    (tmp_path / folder_lock.LOCK_NAME).touch()
-    (tmp_path / f'{folder_lock.LOCK_NAME}.4711.tmp').touch()
-    assert take(tmp_path)['pid'] == os.getpid()
 
 
 def test_lock_that_is_a_link_is_refused_and_its_target_kept(tmp_path):

@@ -4,7 +4,7 @@ import os
 
 import numpy as np
 
-from pca_tools import dataset, files, packed_runs, packing, particles, subspace
+from pca_tools import dataset, files, packing, particles, subspace
 
 N_MODES, N_FRAMES, N_SOIL = 3, 40, 50
 RADIUS = 0.1
@@ -148,7 +148,6 @@ def write_particles(folder, stride=4):
         count = len(dataset.read_split(folder, split))
         soil = [soil_of(folder, split, i)[::stride, chosen] for i in range(count)]
         packed = [(packing.pack_steps(p, soil[0][0], 1e-7), len(p)) for p in soil]
-        path = particles.sample_path(folder, split)
         rest, indices = soil[0][0], chosen.astype(np.int32)
-        packed_runs.write_runs(path, packed, rest, stride, 1e-7, indices=indices)
+        particles.ParticleSample.write(folder, split, packed, rest, stride, 1e-7, indices=indices)
     return chosen

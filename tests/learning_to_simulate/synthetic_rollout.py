@@ -8,7 +8,7 @@ import os
 
 import numpy as np
 
-from pca_tools import files, packed_runs, packing, particles
+from pca_tools import files, packing, particles
 from pca_tools import subspace as subspace_lib
 
 DT = 1 / 60
@@ -114,6 +114,6 @@ def write_sample(data_path: str, soil: np.ndarray, chosen: np.ndarray) -> None:
     """Writes the particle sample of the test split: [N'] chosen ones of soil [T, N, 3], every
     fourth frame."""
     packed = packing.pack_steps(soil[::4, chosen], soil[0, chosen], 1e-6), len(soil[::4])
-    path = particles.sample_path(data_path, 'test')
     indices = np.asarray(chosen, np.int32)
-    packed_runs.write_runs(path, [packed], soil[0, chosen], 4, 1e-6, indices=indices)
+    sample = particles.ParticleSample
+    sample.write(data_path, 'test', [packed], soil[0, chosen], 4, 1e-6, indices=indices)

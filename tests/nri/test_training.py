@@ -13,7 +13,7 @@ from nri.training import Trainer
 from pca_tools import files
 from tests.learning_to_simulate import models, synthetic
 from tests.nri import small
-from tests.pca_tools.commands import call_command, run_command
+from tests.pca_tools.commands import call_command
 
 
 def config(**settings):
@@ -170,7 +170,7 @@ def test_data_and_settings_that_do_not_fit_are_refused_before_the_training(tmp_p
     ):
         with pytest.raises(ValueError, match=message):
             experiment.train(folder, model, config(**settings))
-    done = run_command(
+    done = call_command(
         'nri.train', f'--data_path={modes}', f'--model_path={model}', '--temperature=0'
     )
     assert done.returncode == 1 and 'temperature' in done.stderr

@@ -14,20 +14,9 @@ from absl import app, flags
 REPOSITORY = pathlib.Path(__file__).resolve().parents[2]
 
 
-def run_command(*arguments):
-    """Runs `python -m <arguments>` in the repository; returns the finished process."""
-    return subprocess.run(
-        [sys.executable, '-m', *arguments],
-        cwd=REPOSITORY,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-
-
 def call_command(*arguments):
-    """As `run_command`, but in this process, which need not import TensorFlow again, and without
-    threads of its own; returns what a finished process has."""
+    """Runs `python -m <arguments>` in this process, which need not import TensorFlow again, and
+    without threads of its own; returns what a finished process has."""
     app.define_help_flags()
     known, out, errors, code = set(flags.FLAGS), io.StringIO(), io.StringIO(), None
     try:

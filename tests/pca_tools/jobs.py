@@ -5,11 +5,6 @@ import signal
 import time
 
 
-def square(number):
-    """The square."""
-    return number**2
-
-
 def who_and_square(number):
     """(process, square), slowly enough for all workers to get some."""
     time.sleep(0.2)

@@ -9,10 +9,9 @@ import pytest
 from pca_tools import append, convert, dataset, files, particles, subset
 from pca_tools.inspect import inspect_folder
 from pca_tools.metadata import SPLITS
-from pca_tools.raw_runs import RawRuns
 from pca_tools.subspace import Subspace
 from tests.pca_tools import synthetic
-from tests.pca_tools.commands import run_command
+from tests.pca_tools.commands import call_command
 from tests.pca_tools.synthetic import raw_of, write_raw_folder
 
 
@@ -99,6 +98,12 @@ def test_new_runs_in_an_old_subspace(wheel, raw_wheel, excavation, tmp_path):
         convert.convert(raw_wheel, str(tmp_path / 'no'), like=wheel)
     with pytest.raises(ValueError, match='is of another scene: its name'):
         convert.convert(raw_wheel, str(tmp_path / 'no'), like=excavation)
+    raw = write_raw_folder(
+        tmp_path / 'rolled', 'wheel', [35],
+        change=lambda case, arrays: arrays.update(positions=np.roll(arrays['positions'], 1, 1)),
+    )  # fmt: skip
+    with pytest.raises(ValueError, match='case 35: .* particles start .*not the same order'):
+        convert.convert(raw, str(tmp_path / 'no'), like=wheel)
     # case numbers count anew in each kind
     known = int(base['pca']['fitted_on'][0])
     raw = write_raw_folder(tmp_path / 'smooth', 'wheel', [known], kind='smooth')
@@ -108,7 +113,7 @@ def test_new_runs_in_an_old_subspace(wheel, raw_wheel, excavation, tmp_path):
     raw = write_raw_folder(tmp_path / 'named', 'wheel', [33, 34], split='train')
     metadata = convert.convert(raw, str(tmp_path / 'more'), like=wheel)
     assert metadata['dataset_split'] == {'train': [33, 34]}
-    assert sorted(os.listdir(tmp_path)) == ['driven', 'more', 'named', 'new', 'raw', 'smooth']
+    assert not (tmp_path / 'no').exists()
 
 
 def test_occupied_output_is_left_alone(raw_excavation, tmp_path):
@@ -287,29 +292,6 @@ def test_conversion_says_what_cannot_be_trained_without_a_pose(tmp_path):
     np.testing.assert_array_equal(run.position[:, :20], body)
 
 
-def test_raw_folder_against_its_manifest(tmp_path):
-    with pytest.raises(FileNotFoundError, match='manifest.json'):
-        RawRuns(str(tmp_path))
-    raw = write_raw_folder(tmp_path / 'raw', 'excavation', [1, 2])
-    with open(f'{raw}/run_002.npz', 'rb+') as file:
-        file.truncate(os.path.getsize(file.name) - 100)
-    with pytest.raises(ValueError, match='run_002.npz: differs from the manifest'):
-        list(RawRuns(raw))
-    os.remove(f'{raw}/run_002.npz')
-    with pytest.raises(FileNotFoundError, match='run_002.npz'):
-        list(RawRuns(raw))
-    manifest = files.read_json(f'{raw}/manifest.json')
-    for change, text in (
-        ({'runs': []}, 'lists no runs'),
-        ({'runs': manifest['runs'][:1] * 2}, r'lists the cases \[1\] more than once'),
-        ({'scene': {'name': 'x'}}, 'lacks .*rigid_motion'),
-        ({'runs': [{'file': 'run_001.npz', 'case': 1}]}, 'a run is listed as .*sha256'),
-    ):
-        files.write_json(f'{raw}/manifest.json', {**manifest, **change})
-        with pytest.raises(ValueError, match=text):
-            RawRuns(raw)
-
-
 @pytest.mark.parametrize(
     'arguments, text',
     [
@@ -319,6 +301,43 @@ def test_raw_folder_against_its_manifest(tmp_path):
 )
 def test_command_takes_nothing_that_it_does_not_heed(tmp_path, arguments, text):
     out = f'--output_path={tmp_path}/out'
-    done = run_command('pca_tools.convert', '--raw_path=nowhere', out, *arguments)
+    done = call_command('pca_tools.convert', '--raw_path=nowhere', out, *arguments)
     assert done.returncode == 1 and text in done.stdout + done.stderr
     assert 'Traceback' not in done.stderr and not os.listdir(tmp_path)
+
+
+SHARES = (0.8, 0.1, 0.1)
+
+
+@pytest.mark.parametrize('count, sizes', [(200, (160, 20, 20)), (40, (32, 4, 4)), (5, (3, 1, 1))])
+def test_split_deals_every_case_once(count, sizes):
+    cases = [f'case {index}' for index in range(count)]
+    parts = convert.split_cases(cases, SHARES, seed=3)
+    assert tuple(len(parts[name]) for name in SPLITS) == sizes
+    assert sorted(sum(parts.values(), [])) == list(range(count))
+    assert convert.split_cases(cases, SHARES, seed=3) == parts
+    assert count < 10 or convert.split_cases(cases, SHARES, seed=4) != parts
+
+
+def test_held_out_cases_are_tested():
+    cases = list(range(100, 140))
+    parts = convert.split_cases(cases, SHARES, 0, ['101', '139'])
+    assert {1, 39} <= set(parts['test']) and len(parts['test']) == 4
+    many = convert.split_cases(cases, SHARES, 0, cases[:7])
+    assert many['test'] == list(range(7)) and len(many['valid']) == 4
+    whole = convert.split_cases(cases, (1.0, 0.0, 0.0), 0)
+    assert whole == {'train': list(range(40)), 'valid': [], 'test': []}
+
+
+@pytest.mark.parametrize(
+    'fractions, hold_out, text',
+    [
+        ((0.8, 0.1), (), 'must be 3 shares that sum to 1'),
+        ((0.8, 0.1, 0.2), (), 'must be 3 shares that sum to 1'),
+        (SHARES, (7,), r"hold_out names \['7'\]"),
+        (SHARES, (0, 1), 'do not fill the shares'),
+    ],
+)
+def test_impossible_splits(fractions, hold_out, text):
+    with pytest.raises(ValueError, match=text):
+        convert.split_cases([0, 1, 2], fractions, 0, hold_out)

@@ -1,6 +1,5 @@
 """Files are written whole or not at all, and read only when they are what they claim."""
 
-import json
 import os
 import zipfile
 
@@ -27,25 +26,20 @@ def test_npz_round_trip_and_equal_bytes(tmp_path):
     assert (tmp_path / 'x.npz').read_bytes() == (tmp_path / 'y.npz').read_bytes()
 
 
-def test_what_fails_leaves_the_old_file_or_folder_and_nothing_else(tmp_path):
-    path, folder = tmp_path / 'x.json', tmp_path / 'set'
-    files.write_json(str(path), [1])
-    files.write_folder_atomically(str(folder), lambda new: files.write_json(f'{new}/a', 1))
+def test_a_folder_that_fails_leaves_the_old_one_and_nothing_else(tmp_path):
+    def fill(name):
+        return lambda folder: files.write_json(f'{folder}/{name}', 1)
 
-    def fail(temporary):
-        if os.path.isdir(temporary):
-            temporary = f'{temporary}/b'
-        with open(temporary, 'w', encoding='utf-8') as file:
-            file.write('half')
+    def fail(folder):
+        fill('half')(folder)
         raise OSError('disk full')
 
-    for write, target in ((files.write_atomically, path), (files.write_folder_atomically, folder)):
-        with pytest.raises(OSError, match='disk full'):
-            write(str(target), fail)
-    assert sorted(os.listdir(tmp_path)) == ['set', 'x.json'] and os.listdir(folder) == ['a']
-    assert json.loads(path.read_text()) == [1]
-    files.write_folder_atomically(str(folder), lambda new: files.write_json(f'{new}/c', 3))
-    assert sorted(os.listdir(tmp_path)) == ['set', 'x.json'] and os.listdir(folder) == ['c']
+    files.write_folder_atomically(str(tmp_path / 'set'), fill('a'))
+    with pytest.raises(OSError, match='disk full'):
+        files.write_folder_atomically(str(tmp_path / 'set'), fail)
+    assert os.listdir(tmp_path) == ['set'] and os.listdir(tmp_path / 'set') == ['a']
+    files.write_folder_atomically(str(tmp_path / 'set'), fill('c'))
+    assert os.listdir(tmp_path) == ['set'] and os.listdir(tmp_path / 'set') == ['c']
 
 
 @pytest.mark.parametrize('read', [files.read_npz, files.read_json])
@@ -63,25 +57,14 @@ def test_pointer_empty_missing_and_folder_are_named(tmp_path, read):
         read(str(tmp_path))
 
 
-def test_npz_objects_and_lying_headers_are_refused(tmp_path, monkeypatch):
+def test_objects_and_members_that_are_no_arrays_are_refused(tmp_path):
     path = str(tmp_path / 'x.npz')
-    np.savez_compressed(path, zeros=np.zeros(10**6))
-    with monkeypatch.context() as changed:
-        changed.setattr(files, 'MAX_BYTES', 1000)
-        with pytest.raises(ValueError, match='8000128 bytes, more than the limit of 1000'):
-            files.read_npz(path)
     with pytest.raises(ValueError, match='Python objects'):
         files.write_npz(path, evil=[object()])
-    np.save(str(tmp_path / 'a.npy'), np.zeros(8))
-    lying = (tmp_path / 'a.npy').read_bytes().replace(b'(8,)', b'(9,)')
-    for member, data, text in (
-        ('a.npy', lying, r'says \(9,\) x float64 = 72 bytes but it holds 64'),
-        ('../evil.sh', b'echo', 'not a numpy array'),
-    ):
-        with zipfile.ZipFile(path, 'w') as archive:
-            archive.writestr(member, data)
-        with pytest.raises(ValueError, match=text):
-            files.read_npz(path)
+    with zipfile.ZipFile(path, 'w') as archive:
+        archive.writestr('../evil.sh', b'echo')
+    with pytest.raises(ValueError, match='not a numpy array'):
+        files.read_npz(path)
 
 
 def test_manifest_notices_every_change(tmp_path):

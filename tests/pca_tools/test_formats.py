@@ -15,13 +15,13 @@ import h5py
 import numpy as np
 import pytest
 
-from pca_tools import convert, dataset, files
+from pca_tools import convert, dataset, files, formats
 from pca_tools.export_data import export_data, full_space_of
-from pca_tools.formats import detect, full_space
+from pca_tools.formats import full_space
 from pca_tools.import_data import explain, import_data
 from pca_tools.raw_runs import RawRuns
 from tests.pca_tools import synthetic
-from tests.pca_tools.commands import REPOSITORY, run_command
+from tests.pca_tools.commands import REPOSITORY, call_command
 
 LENNARD_JONES = REPOSITORY / 'tests' / 'data' / 'lagrangebench_3d_lj'
 FORMATS = ('deepmind', 'geoelements', 'lagrangebench', 'mpm_ngf', 'npz', 'vtp')
@@ -175,8 +175,8 @@ def test_exports_come_back_as_raw_runs(exports, truth, excavation, tmp_path, nam
     if name == 'vtp':
         pytest.importorskip('vtk')
     out, raw = str(exports(name)), str(tmp_path / 'raw')
-    assert detect.detect(out) == name
-    for run, counted in zip(detect.FORMATS[name].read(out, 1 / 60).runs(), truth.values()):
+    assert formats.detect(out) == name
+    for run, counted in zip(formats.FORMATS[name].read(out, 1 / 60).runs(), truth.values()):
         wanted = counted if name in COUNTED else truth[run.name]
         np.testing.assert_array_equal(run.positions, wanted.positions)
         np.testing.assert_array_equal(run.particle_type == 3, wanted.particle_type == 3)
@@ -194,7 +194,7 @@ def test_exports_come_back_as_raw_runs(exports, truth, excavation, tmp_path, nam
 def test_contexts_travel(wheel, raw_wheel, tmp_path):
     export_data(wheel, str(tmp_path / 'dm'), 'deepmind', raw_path=raw_wheel)
     truth = full_space_of(wheel, raw_wheel)
-    data = detect.FORMATS['deepmind'].read(str(tmp_path / 'dm'))
+    data = formats.FORMATS['deepmind'].read(str(tmp_path / 'dm'))
     assert data.context_names == truth.context_names == synthetic.CONTEXT_NAMES
     for run, wanted in zip(data.runs(), truth.runs(), strict=True):
         np.testing.assert_array_equal(run.context, wanted.context)
@@ -230,7 +230,7 @@ def test_both_layouts_and_other_writings_of_geoelements(tmp_path):
     (folder / 'metadata.json').write_text(json.dumps(metadata))
     np.savez(folder / 'train.npz', simulation_7=item)
     np.savez_compressed(folder / 'test.npz', gns_data=several)
-    data = detect.FORMATS['geoelements'].read(str(folder))
+    data = formats.FORMATS['geoelements'].read(str(folder))
     first, *rest = data.runs()
     assert data.dt == 0.01 and data.up_axis == 1 and len(rest) == 2
     np.testing.assert_array_equal(first.positions, positions)
@@ -245,11 +245,11 @@ def test_both_layouts_and_other_writings_of_geoelements(tmp_path):
 
 def test_folders_are_named_wherever_they_are_met(exports, excavation, raw_excavation, tmp_path):
     for name in ('deepmind', 'geoelements', 'lagrangebench', 'mpm_ngf'):
-        text = f'this is {detect.FORMATS[name].TITLE}; to use it: lts import'
+        text = f'this is {formats.FORMATS[name].TITLE}; to use it: lts import'
         with pytest.raises((ValueError, FileNotFoundError), match='`lts import .* says what'):
             dataset.read_metadata(str(exports(name)))
         assert text in explain(str(exports(name)))
-    done = run_command('pca_tools.import_data', str(exports('mpm_ngf')))
+    done = call_command('pca_tools.import_data', str(exports('mpm_ngf')))
     assert done.returncode == 0 and done.stdout.endswith('--output_path=RAW --dt=SECONDS\n')
     for folder, text in (
         (raw_excavation, 'raw runs already'),
@@ -359,12 +359,23 @@ def test_decoded_and_thinned_exports_and_rollouts(excavation, tmp_path):
         predicted_forces=run.force[6:],
     )  # fmt: skip
     export_data(excavation, str(tmp_path / 'dm'), 'deepmind', rollouts=str(tmp_path / 'rolled'))
-    (again,) = detect.FORMATS['deepmind'].read(str(tmp_path / 'dm')).runs()
+    (again,) = formats.FORMATS['deepmind'].read(str(tmp_path / 'dm')).runs()
     (decoded,) = full_space_of(excavation, splits=['test']).runs()
     np.testing.assert_array_equal(again.positions, decoded.positions)
     np.testing.assert_array_equal(again.force, run.force)
     with pytest.raises(ValueError, match='is not empty'):
         export_data(excavation, str(tmp_path / 'dm'), 'npz')
+
+
+def test_cases_that_point_out_of_the_folder_are_refused(excavation, tmp_path):
+    data = str(shutil.copytree(excavation, tmp_path / 'data'))
+    metadata = files.read_json(f'{data}/metadata.json')
+    metadata['dataset_split']['test'] = ['a/../../../outside']
+    files.write_json(f'{data}/metadata.json', metadata)
+    os.remove(f'{data}/manifest.json')
+    with pytest.raises(ValueError, match="data: case 'a/../../../outside' cannot name a file"):
+        export_data(data, str(tmp_path / 'out'), 'mpm_ngf', splits=['test'])
+    assert os.listdir(tmp_path) == ['data']
 
 
 def test_the_authors_folder_becomes_a_dataset(original, tmp_path):

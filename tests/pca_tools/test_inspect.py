@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 
 from pca_tools import convert, dataset, files, inspect, subset
-from pca_tools.inspect import ERROR, OK, WARN, inspect_folder, report
-from pca_tools.statistics import trivial_errors
+from pca_tools.inspect import ERROR, OK, WARN, inspect_folder, report, trivial_errors
 from pca_tools.subspace import Subspace
-from tests.pca_tools.commands import REPOSITORY, run_command
+from tests.pca_tools.commands import REPOSITORY, call_command
 from tests.pca_tools.synthetic import write_raw_folder
 
 
@@ -94,7 +93,7 @@ def test_authors_folders_pass_with_their_defects_named(original):
 def test_exit_codes(excavation, tmp_path, capsys):
     assert inspect.main(None, [excavation]) == 0
     assert '0 ERROR' in capsys.readouterr().out
-    bad = run_command('pca_tools.inspect', str(tmp_path))
+    bad = call_command('pca_tools.inspect', str(tmp_path))
     assert bad.returncode == 1 and 'metadata.json: no such file' in bad.stdout
 
 
@@ -142,6 +141,15 @@ def test_statistics_divided_by_dt(copy, excavation, tmp_path):
     assert held in texts(few, OK)
     change_metadata(few, vel_std=faster)
     assert ' times that of the training records (1 / dt is 60)' in texts(few, ERROR)
+
+
+def test_torque_of_some_runs_and_without_statistics(copy):
+    change_runs(
+        copy, 'train', lambda i, run: dataclasses.replace(run, torque=run.force if i < 3 else None)
+    )
+    assert not texts(copy, ERROR)
+    assert 'records have rigid_body_torque_std [' in texts(copy, WARN)
+    assert 'torque (3 runs)' in report(inspect_folder(copy))
 
 
 @pytest.mark.parametrize('name', ['excavation', 'excavation_wide', 'wheel'])

@@ -3,11 +3,14 @@
 import os
 import pickle
 import pickletools
+import subprocess
+import sys
 
 import numpy as np
 import pytest
 
 from pca_tools import legacy_pickles
+from tests.pca_tools.commands import REPOSITORY
 
 MARK = 'this_file_must_not_appear'
 
@@ -95,3 +98,39 @@ def test_object_arrays_give_arrays_and_nothing_else(tmp_path):
     held[1, 1] = 'text'
     with pytest.raises(ValueError, match='here: .*holds str'):
         legacy_pickles.parse_objects(pickle.dumps(held), 'here')
+
+
+PLAIN = pickle.dumps(np.array([3.0, 2.0, 1.0]), 3)
+# dtype state: version, byte order, subarray, names, fields, item size, alignment, flags; 63 is all
+# of NPY_ITEM_REFCOUNT ... NPY_NEEDS_PYAPI.
+STATE_END = b'J\xff\xff\xff\xffJ\xff\xff\xff\xffK\x00'
+REFERENCES = PLAIN.replace(STATE_END, STATE_END[:-1] + b'\x3f')
+
+
+@pytest.mark.parametrize('data', [PLAIN, REFERENCES], ids=['plain', 'references'])
+def test_flags_of_a_pickled_type_are_ignored(tmp_path, data):
+    """float64 items marked as references are dereferenced when numpy frees the array. Found by
+    fuzzing; the reader therefore calls no function of numpy's pickles."""
+    path = tmp_path / 'a.pkl'
+    path.write_bytes(data)
+    assert PLAIN != REFERENCES
+    code = 'import sys; from pca_tools import legacy_pickles as p; print(p.read_array(sys.argv[1]))'
+    program = [sys.executable, '-c', code, str(path)]
+    done = subprocess.run(program, cwd=REPOSITORY, capture_output=True, text=True)
+    assert (done.returncode, done.stdout, done.stderr) == (0, '[3. 2. 1.]\n', '')
+
+
+@pytest.mark.parametrize(
+    'change',
+    [
+        (b'f8', b'O8'), (b'f8', b'f9'), (b'\x00<', b'\x00?'), (b'K\x03\x85', b'K\x04\x85'),
+        (b'K\x03\x85', b'K\xff\x85'), (b'numpy\nndarray', b'builtins\neval'),
+    ],
+    ids=repr,
+)  # fmt: skip
+def test_other_types_shapes_and_names_are_refused(tmp_path, change):
+    path = tmp_path / 'a.pkl'
+    assert change[0] in PLAIN
+    path.write_bytes(PLAIN.replace(*change))
+    with pytest.raises(ValueError, match='a.pkl: is not a pickled numpy array'):
+        legacy_pickles.read_array(str(path))

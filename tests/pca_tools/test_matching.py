@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from pca_tools import convert, matching, write_raw
-from pca_tools.raw_runs import RawRuns
+from pca_tools import matching
 
 
 def lattice(axes):
@@ -44,24 +43,6 @@ def test_beds_that_sank_or_were_cut_are_the_same(name, bed, share):
         anywhere = rng.uniform(bed.min(axis=0), bed.max(axis=0), bed.shape)
         points = np.where(moved[:, None], anywhere, sunk)
         assert not matching.order_fault(points, bed, 'case 1')
-
-
-def test_runs_of_another_order_are_refused_wherever_they_come_in(tmp_path):
-    bed = lattice((20, 3, 3))
-    moved = bed + 0.02 * np.linspace(0, 1, 12)[:, None, None] * bed[:, [0]]
-    shuffled = np.concatenate([moved[:, :99], np.roll(moved[:, 99:], -1, axis=1)], axis=1)
-    whole, rolled = [{'positions': moved}] * 4, [{'positions': shuffled, 'kind': 'rolled'}] * 4
-    folders = {}
-    for name, runs in (('whole', whole), ('rolled', rolled), ('mixed', whole[:3] + rolled[:1])):
-        folders[name] = str(tmp_path / name)
-        write_raw(folders[name], runs, dt=0.1, up_axis=1)
-    data, text = str(tmp_path / 'data'), r' % of its particles start where case \d has other ones'
-    with pytest.raises(ValueError, match=f'case 3: 45{text}'):
-        convert.convert(folders['mixed'], data, modes=1)
-    convert.convert(folders['whole'], data, modes=1)
-    RawRuns(folders['rolled']).check()  # alone they are of one order
-    with pytest.raises(ValueError, match=f'case 0: 45{text}'):
-        convert.convert(folders['rolled'], str(tmp_path / 'new'), like=data)
 
 
 def test_matching_is_one_to_one_and_refuses_other_packings():

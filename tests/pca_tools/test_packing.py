@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
-from pca_tools import packing
+from pca_tools import files, packing
+from pca_tools.heights import Heights
+from pca_tools.particles import ParticleSample
 
 STEP = 4e-5
 
@@ -68,3 +70,43 @@ def test_damaged_bytes_are_refused_or_of_the_promised_shape():
             except ValueError:
                 continue
             assert held.size == moved.size and held.dtype == np.float32
+
+
+REST = np.arange(6.0).reshape(2, 3)
+KINDS = {
+    ParticleSample: {'indices': np.int32([4, 9])},
+    Heights: {'corner': np.array([0.1, 0.2]), 'cell': np.array([0.2, 0.3])},
+}
+FORGED = {
+    ParticleSample: [('indices', [9, 4]), ('rest', REST[:1])],
+    Heights: [
+        ('corner', [0.1]), ('corner', [0, 1]), ('cell', [-0.2, 0.3]), ('cell', [np.nan, 0.1]),
+        ('rest', REST[0]),
+    ],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize('kind', KINDS)
+def test_files_that_do_not_fit_are_refused(kind, tmp_path):
+    folder = str(tmp_path)
+    with pytest.raises(FileNotFoundError, match=f'holds no {kind.TITLE}; convert it again'):
+        kind.read(folder, 'train')
+    packed = kind.pack(REST + np.zeros((9, 1, 1)), REST)
+    name = kind.write(folder, 'train', [packed], REST, **KINDS[kind])
+    files.write_manifest(folder, {name: {}})
+    np.testing.assert_array_equal(kind.read(folder, 'train')[0], [REST] * 3)
+    with pytest.raises(IndexError):
+        kind.read(folder, 'train')[1]
+    path, held = f'{folder}/{name}', files.read_npz(f'{folder}/{name}')
+    for key, value in (
+        ('data', held['data'][:-1]), ('offsets', held['offsets'][::-1]), ('rest', REST[:0]),
+        ('frames', np.int32([10**9])), ('frame_stride', 0), ('resolution', np.nan), *FORGED[kind],
+    ):  # fmt: skip
+        files.write_npz(path, **held | {key: value})
+        with pytest.raises(ValueError, match=f'is not a {kind.TITLE}'):
+            kind(path)
+    with pytest.raises(ValueError, match='manifest says|differs from the manifest'):
+        kind.read(folder, 'train')
+    files.write_npz(path, **held | {'data': np.zeros_like(held['data'])})
+    with pytest.raises(ValueError, match='run 0: packed numbers'):
+        kind(path)[0]

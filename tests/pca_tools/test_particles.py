@@ -1,9 +1,8 @@
-"""The particle sample: what is drawn, how exact and how small it is, what is refused."""
+"""The particle sample: what is drawn. What is kept of it: `test_convert.py`, `test_packing.py`."""
 
 import numpy as np
-import pytest
 
-from pca_tools import files, particles
+from pca_tools import particles
 
 
 def test_sample_covers_the_bed_once():
@@ -19,28 +18,3 @@ def test_sample_covers_the_bed_once():
     assert particles.choose_particles(points[:10]).tolist() == list(range(10))
     same = particles.choose_particles(np.zeros((700, 3)))  # nothing to tell them apart by
     assert len(set(same.tolist())) == 600
-
-
-def test_bad_samples_are_refused(excavation, tmp_path):
-    with pytest.raises(FileNotFoundError, match='holds no particle sample'):
-        particles.read_sample(str(tmp_path), 'train')
-    arrays = files.read_npz(particles.sample_path(excavation, 'test'))
-    path = str(tmp_path / 'sample.npz')
-    for change in (
-        {'data': arrays['data'][:-1]},
-        {'offsets': arrays['offsets'][::-1]},
-        {'indices': arrays['indices'][::-1]},
-        {'frames': np.int32([10**9] * len(arrays['frames']))},
-        {'frame_stride': np.int64(0)},
-        {'resolution': np.float64('nan')},
-        {'rest': arrays['rest'][:-1]},
-    ):
-        files.write_npz(path, **{**arrays, **change})
-        with pytest.raises(ValueError, match='is not a particle sample'):
-            particles.ParticleSample(path)
-    with pytest.raises(IndexError):
-        particles.read_sample(excavation, 'test')[1]
-    arrays['data'] = np.zeros_like(arrays['data'])
-    files.write_npz(path, **arrays)
-    with pytest.raises(ValueError, match='run 0: packed numbers'):
-        particles.ParticleSample(path)[0]

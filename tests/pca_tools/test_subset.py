@@ -49,19 +49,15 @@ def check_runs(out, whole):
         ({'train_runs': 2}, [2, 6]),
         ({'kinds': ['lift']}, [2, 6]),
         ({'kinds': ['grid'], 'train_runs': 1}, [4]),
+        ({'kinds': ['grid'], 'every_split': True}, [1, 4]),
         ({}, [1, 2, 4, 6]),
     ],
 )
 def test_runs_are_those_of_the_whole(whole, tmp_path, options, cases):
     few = subset.subset(whole, str(tmp_path / 'few'), **options)
-    assert few['dataset_split'] == {'train': cases, 'valid': [3, 7], 'test': [5]}
+    valid = [3] if 'every_split' in options else [3, 7]
+    assert few['dataset_split'] == {'train': cases, 'valid': valid, 'test': [5]}
     check_runs(str(tmp_path / 'few'), whole)
-
-
-def test_kinds_of_every_split(whole, tmp_path):
-    few = subset.subset(whole, str(tmp_path / 'grid'), kinds=['grid'], every_split=True)
-    assert few['dataset_split'] == {'train': [1, 4], 'valid': [3], 'test': [5]}
-    check_runs(str(tmp_path / 'grid'), whole)
 
 
 def test_runs_are_dealt_to_other_splits_with_all_that_is_known_of_them(whole, tmp_path):

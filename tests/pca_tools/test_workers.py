@@ -7,7 +7,7 @@ import time
 import numpy as np
 import pytest
 
-from pca_tools import decompose, subspace, workers
+from pca_tools import subspace, workers
 from tests.pca_tools import jobs
 
 
@@ -43,7 +43,7 @@ def test_every_input_is_run_once_by_several_processes(crew):
     assert [square for _, square in found] == [n**2 for n in range(12)]
     pids = {pid for pid, _ in found}
     assert len(pids) == 2 and os.getpid() not in pids
-    again = [outcome.value for outcome in values(crew, jobs.square, [3, 3, 3])]
+    again = [outcome.value[1] for outcome in values(crew, jobs.who_and_square, [3, 3, 3])]
     assert again == [9, 9, 9]  # equal inputs are tasks of their own
 
 
@@ -66,7 +66,7 @@ def runs_of_six_modes(count):
 
 def test_covariance_on_workers_gives_the_same_subspace(crew, monkeypatch):
     runs, memory = runs_of_six_modes(7)
-    monkeypatch.setattr(decompose, 'RUNS_PER_TASK', 2)
+    monkeypatch.setattr(subspace, 'RUNS_PER_TASK', 2)
     plain = subspace.fit(jobs.Runs(runs), 4, max_memory_mb=memory)
     found = subspace.fit(jobs.Runs(runs), 4, max_memory_mb=memory, crew=crew)
     direct = subspace.fit(runs, 4)

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from pca_tools import dataset, subspace
-from tests.test_shipped import PROMISED, ROOT
+from pca_tools import subspace
 
 FRAMES, PARTICLES = 60, 140
 # Large enough for the covariance of 140 particles, too small for the matrix.
@@ -63,16 +62,3 @@ def test_cluster_is_compared_as_a_subspace():
     assert angle(spaces[0].components, shapes[:, :3]) < 1e-6
     with pytest.warns(UserWarning, match='cut after mode 2 lies inside a cluster'):
         subspace.fit([run], 2)
-
-
-@pytest.mark.parametrize('scene', PROMISED)
-def test_shipped_subspace_saw_training_runs_only(scene):
-    folder = ROOT / 'datasets' / scene
-    space = subspace.Subspace.load(str(folder / 'subspace.npz'))
-    metadata = dataset.read_metadata(str(folder))
-    cases = {s: {str(c['case']) for c in metadata['cases'][s]} for s in dataset.SPLITS}
-    fitted = set(space.runs)
-    # Runs that came later lie in the subspace of the first.
-    assert len(fitted) == len(space.runs) and fitted <= cases['train']
-    assert not fitted & (cases['valid'] | cases['test'])
-    assert space.digest == metadata['pca']['digest']

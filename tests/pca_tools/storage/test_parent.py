@@ -22,7 +22,7 @@ if __name__ == '__main__':
 PROGRAM = """
 import os, subprocess, sys
 subprocess.run([sys.executable, '-m', 'pca_tools.storage.parent', str(os.getpid()),
-                'tests.pca_tools.storage.child', sys.argv[1]])
+                'tests.pca_tools.storage.test_parent', sys.argv[1]])
 """
 
 
@@ -59,3 +59,7 @@ def test_child_of_a_killed_process_ends(code, tmp_path):
         time.sleep(0.05)
     os.kill(child, signal.SIGKILL)
     raise AssertionError('the child lives on')
+
+
+if __name__ == '__main__':
+    wait_for_ever(sys.argv[1])

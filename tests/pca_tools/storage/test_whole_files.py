@@ -1,11 +1,11 @@
 """Whole files and folders under attack: threads, links, long names, mounts, kills."""
 
+import concurrent.futures
 import contextlib
 import os
 import pathlib
 import signal
 import stat
-import threading
 
 import pytest
 
@@ -14,12 +14,7 @@ from pca_tools.storage import whole_files
 
 def put(text):
     """A writer that leaves `text` in the file."""
-
-    def write(path):
-        with open(path, 'w', encoding='utf-8') as file:
-            file.write(text)
-
-    return write
+    return lambda path: pathlib.Path(path).write_text(text)
 
 
 def fill_with(text):
@@ -28,37 +23,32 @@ def fill_with(text):
 
 def test_threads_of_one_process_do_not_meet(tmp_path):
     """One temporary name for all of them made 136 of 300 writes fail."""
-    path, failed = str(tmp_path / 'x'), []
 
     def write(number):
         for _ in range(60):
-            try:
-                whole_files.write_atomically(path, put(str(number) * 1000))
-            except OSError as error:
-                failed.append(error)
+            whole_files.write_atomically(str(tmp_path / 'x'), put(str(number) * 1000))
 
-    threads = [threading.Thread(target=write, args=(number,)) for number in range(5)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert not failed
+    with concurrent.futures.ThreadPoolExecutor(5) as pool:
+        list(pool.map(write, range(5)))  # raises what one of them raised
     text = (tmp_path / 'x').read_text()
     assert len(text) == 1000 and len(set(text)) == 1
     assert os.listdir(tmp_path) == ['x']
 
 
-def test_folder_writers_of_one_process_do_not_meet(tmp_path):
-    """A second writer with the same process id (another container) removed the first one's work."""
+@pytest.mark.parametrize('replace', [True, False])
+def test_folder_writers_of_one_process_do_not_meet(tmp_path, replace):
+    """A second writer with the same process id (another container) removed the first one's work.
+    Where nothing is to be replaced both found the name free, and the faster one keeps it."""
     path = str(tmp_path / 'set')
 
     def outer(folder):
         fill_with('outer')(folder)
-        whole_files.write_folder_atomically(path, fill_with('inner'))
+        whole_files.write_folder_atomically(path, fill_with('inner'), replace)
         assert os.listdir(folder) == ['a']
 
-    whole_files.write_folder_atomically(path, outer)
-    assert (tmp_path / 'set' / 'a').read_text() == 'outer'
+    with contextlib.nullcontext() if replace else pytest.raises(OSError):
+        whole_files.write_folder_atomically(path, outer, replace)
+    assert (tmp_path / 'set' / 'a').read_text() == ('outer' if replace else 'inner')
     assert os.listdir(tmp_path) == ['set']
 
 
@@ -69,13 +59,9 @@ def test_links_under_guessed_names_are_not_written_through(tmp_path):
         (tmp_path / name).symlink_to(victim)
     whole_files.write_atomically(str(tmp_path / 'x'), put('new'))
     assert victim.read_text() == 'precious' and (tmp_path / 'x').read_text() == 'new'
-    assert stat.S_IMODE(os.stat(tmp_path / 'x').st_mode) == 0o666 & ~_umask()
-
-
-def _umask():
     mask = os.umask(0)
     os.umask(mask)
-    return mask
+    assert stat.S_IMODE(os.stat(tmp_path / 'x').st_mode) == 0o666 & ~mask
 
 
 def test_output_that_is_a_link_is_the_folder_it_means(tmp_path):
