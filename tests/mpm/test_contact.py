@@ -78,13 +78,6 @@ def test_grip_grows_with_the_way_until_coulombs_limit():
     assert np.linalg.norm(grip) == pytest.approx(limit - DT) and force[0] < 0.0
 
 
-def test_grip_along_the_surface_is_kept_while_nothing_moves():
-    grip, force, load = touch(MIDDLE, STILL, WHEEL, below(1e-3), grip=(1e-4, 3e-4, -2e-4))
-    np.testing.assert_allclose(grip, [1e-4, 0.0, -2e-4], atol=1e-18)
-    np.testing.assert_allclose(force, [-1.0, -10.0, 2.0], atol=1e-9)
-    np.testing.assert_allclose(load[:3], -force, atol=1e-12)
-
-
 def test_body_that_moves_with_the_soil_drags_nothing():
     motion = (-0.3, 0.2, 1.5, 0.4)
     pose = below(1e-3)
