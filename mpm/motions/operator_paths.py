@@ -1,6 +1,6 @@
 """Paths of the blade as an operator drives it, drawn from a seed.
 
-Speed along the bed, depth and lean go from level to level by quintic pieces (`levels`), so a path
+Speed along the bed, depth and lean go from level to level by quintic pieces (`Levels`), so a path
 has a continuous acceleration and rests at time 0. A path is a pure function of kind and seed:
 
 smooth: one cut, or two without leaving the soil, speed, depth and lean varying.
@@ -29,8 +29,7 @@ import numpy as np
 
 from mpm import bodies, scenes
 from mpm.motions import checks, drawn_tools, grid
-from mpm.motions.drive import Drive, poses
-from mpm.motions.levels import Levels, Track
+from mpm.motions.drive import Drive, Levels, Track, poses
 
 TURNS = ('smooth', 'stops', 'reverse', 'lift', 'disturbed')  # of seeds, if no kind is named
 KINDS = (*TURNS, 'halts', 'beside', 'soils', 'tools', 'trench', 'spread', 'backdrag')
