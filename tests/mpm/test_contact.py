@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 
 from mpm import bodies, columns, experiments
-from mpm.bodies import signed_distances
 from mpm.contact import ContactLaw, contact, make_contact
 from mpm.grid import make_grid
 from mpm.motions.drive import poses
 from mpm.scenes import CORNER, Bin
-from mpm.solver import EXCHANGE, make_block, make_nodes
+from mpm.solver import make_block, make_nodes
 from mpm.transfers import particles_to_grid
 from tests.mpm.small import SOIL
 
@@ -165,13 +164,3 @@ def test_body_takes_the_moment_that_the_soil_loses():
     fast, slow = tipped(0.0, 8.0), tipped(0.0, 4.0)
     assert fast < 2.5e-3 and slow < 0.6 * fast
     assert tipped(0.3, 8.0) < 0.01
-
-
-def test_no_soil_gets_into_the_body():
-    """A blade at 2 m/s, twenty times faster than any of the scenes."""
-    experiment, speed = experiments.blade_in_weightless_soil()
-    seconds = math.ceil(0.08 / EXCHANGE) * EXCHANGE
-    pose = (CORNER + 0.35 - speed * seconds, CORNER + 0.15, -math.radians(20.0), CORNER + 0.4)
-    blade = bodies.make_blade()
-    distance = signed_distances(blade, pose, experiment.particles[:, :3])
-    assert 0.0 < distance.min() < experiment.solver.volume ** (1 / 3)
