@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from tqdm import tqdm
 
-from mpm import packing, raw_run, run, scenes, versions
+from mpm import SOLVER_VERSION, packing, raw_run, run, scenes
 from mpm.constitutive import make_soil
 from mpm.motions import catalogue
 from mpm.motions.recording import Recording
@@ -82,7 +82,7 @@ class _Job:
     folder: str
 
     def shared(self) -> dict:
-        common = {'solver_version': versions.SOLVER_VERSION, 'bin_m': list(self.scene.bin.size)}
+        common = {'solver_version': SOLVER_VERSION, 'bin_m': list(self.scene.bin.size)}
         return self.settings.recorded() | common
 
     def simulate(self, case, on_frame=lambda frame: None) -> dict | str:
@@ -93,10 +93,6 @@ class _Job:
         except ValueError as error:  # it would fail again
             return str(error)
         return raw_run.write_run(self.folder, found)
-
-
-def _simulate(job_and_case: tuple) -> dict | str:
-    return job_and_case[0].simulate(job_and_case[1])
 
 
 @functools.lru_cache(maxsize=1)
@@ -172,7 +168,7 @@ def _generate(job: _Job, cases, num_processes, where):
         workers.start(where, min(num_processes, len(todo))) as crew,
         tqdm(total=len(todo), desc=scene.name, unit='run') as bar,
     ):
-        for outcome in crew.run(_simulate, [(job, case) for case in todo]):
+        for outcome in crew.run(job.simulate, todo):
             case = todo[outcome.index]
             note(case, outcome.error if outcome.error is not None else outcome.value)
             bar.update()

@@ -8,15 +8,15 @@ import pytest
 from scipy.spatial import cKDTree
 
 from mpm import bodies
-from mpm.motions import drawn_tools
+from mpm.motions import operator_paths
 
-BUCKET = bodies.tool_body(drawn_tools.bucket(0.1, 0.3, True))
+BUCKET = bodies.tool_body(operator_paths.bucket(0.1, 0.3, True))
 BODIES = {
     'blade': bodies.make_blade(0.3),
     'wheel': bodies.make_wheel(0.15),
     'lugs': bodies.make_wheel(0.2, 0.1, (8, 0.02, 0.01)),
     'bucket': BUCKET,
-    'open bucket': bodies.tool_body(drawn_tools.bucket(0.1, 0.3, False)),
+    'open bucket': bodies.tool_body(operator_paths.bucket(0.1, 0.3, False)),
 }
 STEP = 2e-3  # m, between points of a cloud
 

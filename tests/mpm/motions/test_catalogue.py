@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mpm import scenes
-from mpm.motions import beyond, catalogue, checks, drawn_tools
+from mpm.motions import beyond, catalogue, checks, operator_paths
 from mpm.motions.recording import Recording
 from tests.mpm import small
 
@@ -33,7 +33,7 @@ def test_a_tool_of_the_other_scene_is_refused():
     wheel = {'name': 'mine', 'radius': 0.1, 'width': 0.1, 'friction': 0.5}
     with pytest.raises(ValueError, match="'mine' does not belong into the scene 'excavation'"):
         catalogue.motion_of(scenes.EXCAVATION, 22, wheel)
-    bucket = drawn_tools.bucket(0.1, 0.3, True)
+    bucket = operator_paths.bucket(0.1, 0.3, True)
     with pytest.raises(ValueError, match="'bucket' does not belong into the scene 'wheel'"):
         catalogue.motion_of(scenes.WHEEL, 'slip_0001', bucket)
 
