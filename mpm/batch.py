@@ -52,7 +52,7 @@ def generate(
     groups: dict[str | None, list] = {}
     for case in cases:
         groups.setdefault(catalogue.bin_name(scene, case), []).append(case)
-    _check_cases(scene, groups, settings, tool)
+    _check_cases(scene, cases, settings, tool)
     new: list[dict] = []
     failures: list[str] = []
     for name, some in groups.items():
@@ -60,7 +60,7 @@ def generate(
         os.makedirs(folder, exist_ok=True)
         with locked(folder):
             remove_temporary(folder)
-            job = _Job(catalogue.in_bin(scene, name), settings, tool, folder)
+            job = _Job(catalogue.in_bin(scene, some[0]), settings, tool, folder)
             made, failed = _generate(job, some, num_processes, where)
         new += made
         failures += failed
@@ -109,17 +109,16 @@ def _name(scene: scenes.Scene, case) -> str:
     return f'{scene.name} {case.path if isinstance(case, Recording) else f"case {case}"}'
 
 
-def _check_cases(scene, groups, settings, tool) -> None:
+def _check_cases(scene, cases, settings, tool) -> None:
     """Raises with the name of the first run whose motion is refused."""
-    counts = Counter(_id(case) for some in groups.values() for case in some)
+    counts = Counter(map(_id, cases))
     if twice := sorted(str(name) for name, count in counts.items() if count > 1):
         raise ValueError(f'{scene.name}: the runs {twice} are named twice')
-    for name, some in groups.items():
-        for case in some:
-            try:
-                run.prepared(catalogue.in_bin(scene, name), case, settings, tool)
-            except ValueError as error:
-                raise ValueError(f'{_name(scene, case)}: {error}') from error
+    for case in cases:
+        try:
+            run.prepared(catalogue.in_bin(scene, case), case, settings, tool)
+        except ValueError as error:
+            raise ValueError(f'{_name(scene, case)}: {error}') from error
 
 
 def _unfinished(job: _Job, cases, finished: list[dict]) -> list:

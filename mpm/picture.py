@@ -102,7 +102,7 @@ def draw(scene: scenes.Scene, cases, output_path: str, tool: dict | None = None)
     `catalogue.motion_of`."""
     if not cases:
         raise ValueError('nothing to draw: --cases, --operator_seeds, --path or --raw_path')
-    drawn = [catalogue.in_bin(scene, catalogue.bin_name(scene, case)) for case in cases]
+    drawn = [catalogue.in_bin(scene, case) for case in cases]
     motions = [catalogue.motion_of(within, case, tool) for within, case in zip(drawn, cases)]
     columns = min(3, len(motions))
     figure, grid = panels(-(-len(motions) // columns), columns, (4.6, 2.6))

@@ -49,8 +49,9 @@ def bin_name(scene: scenes.Scene, case: int | str | Recording) -> str | None:
     return operator_paths.BINS.get(parse(scene, case)[0])
 
 
-def in_bin(scene: scenes.Scene, name: str | None) -> scenes.Scene:
-    """Returns the scene with another of its bins."""
+def in_bin(scene: scenes.Scene, case: int | str | Recording) -> scenes.Scene:
+    """Returns the scene with the bin that a run needs."""
+    name = bin_name(scene, case)
     if name is None:
         return scene
     return dataclasses.replace(scene, bin=scene.other_bins[name], other_bins={})

@@ -116,7 +116,7 @@ def drawn(name, kind):
     made, scene = [], scenes.SCENES[name]
     for seed in range(8 if kind == 'tools' else 30):
         case = catalogue.seed_case(kind, seed)
-        within = catalogue.in_bin(scene, catalogue.bin_name(scene, case))
+        within = catalogue.in_bin(scene, case)
         motion = catalogue.motion_of(within, case)
         whole = motion.drive.pose(np.arange(motion.simulated_frames * STEPS + 1) * DT)
         recorded = whole[motion.drive.lead_in * STEPS :]

@@ -19,7 +19,7 @@ from tests.mpm import small
 )  # fmt: skip
 def test_kinds_have_the_bin_that_they_need(case, size):
     """The same cells as the scene's own bin, the motion in the middle of its width."""
-    scene = catalogue.in_bin(scenes.EXCAVATION, catalogue.bin_name(scenes.EXCAVATION, case))
+    scene = catalogue.in_bin(scenes.EXCAVATION, case)
     assert scene.bin.size == size
     assert (scene.bin.dx, scene.bin.dz) == (scenes.EXCAVATION.bin.dx, scenes.EXCAVATION.bin.dz)
     motion = catalogue.motion_of(scene, case)
