@@ -162,9 +162,8 @@ def particles_to_grid(block, velocity, grid, half_step, mass, volume, bulk_modul
     Fills `block.base`, `weights` and `elastic` for the interval; adds to `velocity`.
 
     Args:
-        block: `solver.Block` of the particles that are awake.
+        block: of the particles that are awake.
         velocity: float64 [4 nodes], zero: momentum (N s) and mass (kg) afterwards.
-        grid: `grid.Grid`.
         half_step: half a time step, s.
         mass, volume: of a particle as packed, kg and m3.
         bulk_modulus: Pa.
