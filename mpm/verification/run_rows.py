@@ -68,12 +68,14 @@ def rows_of(raw_path: str) -> dict:
         rows[f'leak_{scene.name}'] = partial(leak, scene, raw_path)
     for case in DENSITY_CASES:
         rows[f'density_{case}'] = partial(moved_soil, case, scenes.FRAMES - 1)
-    pairs = [('noise', noise, NOISE_CASES, (122,))]
-    pairs += [(name, partial(short_cut, name), SHORT_CUT_CASES, (122,)) for name in SHORT_CUTS]
-    pairs += [('halved', halved_step, (), (122, 203))]
-    for name, row, blades, wheels in pairs:
-        rows |= {f'{name}_{case}': partial(row, EXCAVATION, case, PAIR_FRAMES) for case in blades}
-        rows |= {f'{name}_wheel_{case}': partial(row, WHEEL, case, PAIR_FRAMES) for case in wheels}
+    pairs: list[tuple[str, Callable, tuple, tuple]] = [
+        ('noise', noise, NOISE_CASES, (122,)),
+        *((name, partial(short_cut, name), SHORT_CUT_CASES, (122,)) for name in SHORT_CUTS),
+        ('halved', halved_step, (), (122, 203)),
+    ]
+    for name, pair, blades, wheels in pairs:
+        rows |= {f'{name}_{case}': partial(pair, EXCAVATION, case, PAIR_FRAMES) for case in blades}
+        rows |= {f'{name}_wheel_{case}': partial(pair, WHEEL, case, PAIR_FRAMES) for case in wheels}
     return rows
 
 
