@@ -101,17 +101,13 @@ def _packed(box, settings, folder) -> tuple:
     return packing.settled(box, soil, settings.seed, folder)
 
 
-def _id(case) -> int | str:
-    return case.case if isinstance(case, Recording) else case
-
-
 def _name(scene: scenes.Scene, case) -> str:
     return f'{scene.name} {case.path if isinstance(case, Recording) else f"case {case}"}'
 
 
 def _check_cases(scene, cases, settings, tool) -> None:
     """Raises with the name of the first run whose motion is refused."""
-    counts = Counter(map(_id, cases))
+    counts = Counter(map(catalogue.run_id, cases))
     if twice := sorted(str(name) for name, count in counts.items() if count > 1):
         raise ValueError(f'{scene.name}: the runs {twice} are named twice')
     for case in cases:
@@ -125,15 +121,16 @@ def _unfinished(job: _Job, cases, finished: list[dict]) -> list:
     """Returns the cases that are not finished; refuses a path or tool of other content."""
     done = {entry['case']: entry['parameters'] for entry in finished}
     for case in cases:
-        if made := done.get(_id(case)):
+        name = catalogue.run_id(case)
+        if made := done.get(name):
             asked = catalogue.motion_of(job.scene, case, job.tool).parameters
             other = [key for key in ('path_sha256', 'tool') if asked.get(key) != made.get(key)]
             if other:
                 raise ValueError(
-                    f'{job.folder}: {raw_run.file_name(_id(case))} was made with another '
+                    f'{job.folder}: {raw_run.file_name(name)} was made with another '
                     f'{" and ".join(other)}; name another folder'
                 )
-    return [case for case in cases if _id(case) not in done]
+    return [case for case in cases if catalogue.run_id(case) not in done]
 
 
 def _generate(job: _Job, cases, num_processes, where):

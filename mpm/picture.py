@@ -140,7 +140,7 @@ def body_of(parameters: dict) -> bodies.Body:
 def draw_runs(folder: str, cases, output_path: str) -> None:
     """Draws raw runs of a folder into one picture file, a row each; ValueError: it lacks one."""
     figure, grid = panels(len(cases), MOMENTS, (2.8, 1.9))
-    for row, case in zip(grid, cases):
+    for row, case in zip(grid, map(catalogue.run_id, cases)):
         run = raw_run.read_run(os.path.join(folder, raw_run.file_name(case)))
         body, (length, depth, _) = body_of(run.parameters), run.parameters['bin_m']
         way = 1e3 * np.linalg.norm(run.positions - run.positions[0], axis=2)

@@ -42,6 +42,10 @@ class Motion:
         return self.drive.lead_in + self.frames
 
 
+def run_id(case: int | str | Recording) -> int | str:
+    return case.case if isinstance(case, Recording) else case
+
+
 def bin_name(scene: scenes.Scene, case: int | str | Recording) -> str | None:
     """Returns which of the scene's `other_bins` a run needs; None: its own bin."""
     if not isinstance(case, str) or scene.name != 'excavation':
