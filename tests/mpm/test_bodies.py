@@ -18,6 +18,7 @@ BODIES = {
     'bucket': BUCKET,
     'open bucket': bodies.tool_body(operator_paths.bucket(0.1, 0.3, False)),
 }
+EACH = pytest.mark.parametrize('body', BODIES.values(), ids=BODIES)
 STEP = 2e-3  # m, between points of a cloud
 
 
@@ -64,9 +65,8 @@ def signed(body, points, angle=0.0):
     return np.array([bodies.signed_distance(body, sine, cosine, *point) for point in points])
 
 
-@pytest.mark.parametrize('name', BODIES)
-def test_sign_is_that_of_the_shape(name):
-    body = BODIES[name]
+@EACH
+def test_sign_is_that_of_the_shape(body):
     rng = np.random.default_rng(0)
     points = rng.uniform(-1.0, 1.0, (3000, 3)) * [0.45, 0.45, body.half_width + 0.05]
     found = signed(body, points)[:, 0]
@@ -75,10 +75,9 @@ def test_sign_is_that_of_the_shape(name):
     assert 0.002 < (found < 0.0).mean() < 0.9
 
 
-@pytest.mark.parametrize('name', BODIES)
-def test_distance_outside_is_the_nearest_point_of_the_shape(name):
+@EACH
+def test_distance_outside_is_the_nearest_point_of_the_shape(body):
     """Against a dense cloud of points inside: exact to the spacing of the cloud."""
-    body = BODIES[name]
     reach, half = body.reach + STEP, body.half_width
     rng = np.random.default_rng(1)
     axis = np.arange(-reach, reach, 2 * STEP)
@@ -102,9 +101,8 @@ def test_distance_outside_is_the_nearest_point_of_the_shape(name):
     assert (gap > found[outside, 0] - 1e-9).all()  # no point of the shape is nearer
 
 
-@pytest.mark.parametrize('name', BODIES)
-def test_normal_is_the_gradient(name):
-    body = BODIES[name]
+@EACH
+def test_normal_is_the_gradient(body):
     rng = np.random.default_rng(2)
     points = rng.uniform(-1.0, 1.0, (200, 3)) * [0.3, 0.3, body.half_width + 0.04]
     found = signed(body, points)
@@ -126,9 +124,8 @@ def test_leaning_body_is_the_upright_one_turned():
     np.testing.assert_allclose(turned[:, 1:], upright[:, 1:] @ turn, atol=1e-9)
 
 
-@pytest.mark.parametrize('name', BODIES)
-def test_lowest_point_and_extent_are_those_of_the_cloud(name):
-    body = BODIES[name]
+@EACH
+def test_lowest_point_and_extent_are_those_of_the_cloud(body):
     axis = np.arange(-body.reach, body.reach, 4e-3)
     grid = np.stack(np.meshgrid(axis, axis, [0.0, body.half_width]), axis=-1).reshape(-1, 3)
     cloud = grid[is_inside(body, grid)][:, :2]
