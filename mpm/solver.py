@@ -193,12 +193,9 @@ def advance(
             two of them.
         status: int64 [2]: error code, row of the block.
     """
-    mass = volume * soil.bulk_density
     load = np.zeros(6)
     for interval in range(intervals):
-        box = particles_to_grid(
-            block, nodes.velocity, grid, 0.5 * dt, mass, volume, soil.bulk_modulus, status
-        )
+        box = particles_to_grid(block, nodes.velocity, grid, 0.5 * dt, volume, soil, status)
         free, touched = start_nodes(nodes, grid, box, 0.5 * dt * gravity)
         if status[0] != OK:
             clear(nodes, touched)

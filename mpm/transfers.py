@@ -156,7 +156,7 @@ def strides_of(shape):
 
 
 @numba.njit(**JIT)
-def particles_to_grid(block, velocity, grid, half_step, mass, volume, bulk_modulus, status):
+def particles_to_grid(block, velocity, grid, half_step, volume, soil, status):
     """Eq. (1), and the half kick of the soil's own forces (3) that begins an exchange interval.
 
     Fills `block.base`, `weights` and `elastic` for the interval; adds to `velocity`.
@@ -165,8 +165,7 @@ def particles_to_grid(block, velocity, grid, half_step, mass, volume, bulk_modul
         block: of the particles that are awake.
         velocity: float64 [4 nodes], zero: momentum (N s) and mass (kg) afterwards.
         half_step: half a time step, s.
-        mass, volume: of a particle as packed, kg and m3.
-        bulk_modulus: Pa.
+        volume: of a particle as packed, m3.
         status: int64 [2]: code and row of the block are set on an error.
 
     Returns:
@@ -179,6 +178,7 @@ def particles_to_grid(block, velocity, grid, half_step, mass, volume, bulk_modul
     dx, dz = grid.dx, grid.dz
     # -dt/2 V / D per cell, and the columns of C per cell: what a node one cell on gets more.
     plane, across = -half_step * volume * 4.0 * inverse, -half_step * volume * 4.0 * inverse_z
+    mass = volume * soil.bulk_density
     mass_x, mass_z = mass * dx, mass * dz
     i0, i1, j0, j1, k0, k1 = nx, 0, ny, 0, nz, 0
     for n in range(len(q)):
@@ -203,7 +203,7 @@ def particles_to_grid(block, velocity, grid, half_step, mass, volume, bulk_modul
         block.base[n] = base
         keep_weights(block.weights, n, place)
         keep_elastic(block, n)
-        p = pressure_of(ratio - 1.0, bulk_modulus)
+        p = pressure_of(ratio - 1.0, soil.bulk_modulus)
         sp, sz = plane * ratio, across * ratio
         xx, yy, zz = q[n, S] - p, q[n, S + 1] - p, q[n, S + 2] - p
         xy, yz, zx = q[n, S + 3], q[n, S + 4], q[n, S + 5]

@@ -98,7 +98,7 @@ def settled_soil(box: Bin, particles: np.ndarray, soil: Soil) -> dict:
     status = np.zeros(2, dtype=np.int64)
     # Half a step of one second: what is scattered is half the force, in N.
     extent = particles_to_grid(
-        make_block(particles), nodes.velocity, grid, 0.5, mass, volume, soil.bulk_modulus, status
+        make_block(particles), nodes.velocity, grid, 0.5, volume, soil, status
     )
     before = nodes.velocity.reshape(-1, 4).copy()
     free, _ = start_nodes(nodes, grid, extent, 0.0)

@@ -18,7 +18,7 @@ ROOM = Bin((0.12, 0.1, 0.12), 0.01, 0.02, (0, 0, 0), 1, 0.12, ())
 GRID = make_grid(ROOM)
 MIDDLE = np.full(3, CORNER + 0.06)
 LAW = ContactLaw(radius=0.002, stiffness=1e4)
-MASS, DT = 1e-3, 1e-4
+DT = 1e-4
 WHEEL = bodies.make_wheel(0.1)
 STILL = (0.0, 0.0, 0.0)
 NO_RATES = (0.0, 0.0, 0.0, 0.0)
@@ -34,7 +34,7 @@ def touch(position, velocity, body, pose, motion=NO_RATES, grip=STILL, dt=DT, mo
     row[0, :3], row[0, columns.VOLUME_RATIO] = position, 1.0
     row[0, columns.GRIP : columns.GRIP + 3] = grip
     block, nodes, status = make_block(row), make_nodes(GRID), np.zeros(2, dtype=np.int64)
-    particles_to_grid(block, nodes.velocity, GRID, 0.0, MASS, 1e-6, 1.0, status)
+    particles_to_grid(block, nodes.velocity, GRID, 0.0, 1e-6, SOIL, status)
     assert not status.any()
     touched = nodes.velocity.reshape(-1, 4)[:, 3] > 0.0
     nodes.velocity.reshape(-1, 4)[touched, :3] = velocity

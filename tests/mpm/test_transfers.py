@@ -35,10 +35,7 @@ def scatter(particles, dtype=np.float64):
     """Returns the block, its nodes and the box; nodes carry momentum and mass."""
     block, nodes = make_block(particles, dtype), make_nodes(GRID, dtype)
     status = np.zeros(2, dtype=np.int64)
-    mass = VOLUME * SOIL.bulk_density
-    box = particles_to_grid(
-        block, nodes.velocity, GRID, DT, mass, VOLUME, SOIL.bulk_modulus, status
-    )
+    box = particles_to_grid(block, nodes.velocity, GRID, DT, VOLUME, SOIL, status)
     assert status[0] == columns.OK
     return block, nodes, box
 
