@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from tqdm import tqdm
 
-from mpm import packing, raw_run, run, scenes, versions
+from mpm import SOLVER_VERSION, packing, raw_run, run, scenes
 from mpm.constitutive import make_soil
 from mpm.motions import catalogue
 from mpm.motions.recording import Recording
@@ -52,7 +52,7 @@ def generate(
     groups: dict[str | None, list] = {}
     for case in cases:
         groups.setdefault(catalogue.bin_name(scene, case), []).append(case)
-    _check_cases(scene, groups, settings, tool)
+    _check_cases(scene, cases, settings, tool)
     new: list[dict] = []
     failures: list[str] = []
     for name, some in groups.items():
@@ -60,7 +60,7 @@ def generate(
         os.makedirs(folder, exist_ok=True)
         with locked(folder):
             remove_temporary(folder)
-            job = _Job(catalogue.in_bin(scene, name), settings, tool, folder)
+            job = _Job(catalogue.in_bin(scene, some[0]), settings, tool, folder)
             made, failed = _generate(job, some, num_processes, where)
         new += made
         failures += failed
@@ -82,7 +82,7 @@ class _Job:
     folder: str
 
     def shared(self) -> dict:
-        common = {'solver_version': versions.SOLVER_VERSION, 'bin_m': list(self.scene.bin.size)}
+        common = {'solver_version': SOLVER_VERSION, 'bin_m': list(self.scene.bin.size)}
         return self.settings.recorded() | common
 
     def simulate(self, case, on_frame=lambda frame: None) -> dict | str:
@@ -95,50 +95,42 @@ class _Job:
         return raw_run.write_run(self.folder, found)
 
 
-def _simulate(job_and_case: tuple) -> dict | str:
-    return job_and_case[0].simulate(job_and_case[1])
-
-
 @functools.lru_cache(maxsize=1)
 def _packed(box, settings, folder) -> tuple:
     soil = make_soil(settings.youngs_modulus, scenes.PACKING_MU_S)
     return packing.settled(box, soil, settings.seed, folder)
 
 
-def _id(case) -> int | str:
-    return case.case if isinstance(case, Recording) else case
-
-
 def _name(scene: scenes.Scene, case) -> str:
     return f'{scene.name} {case.path if isinstance(case, Recording) else f"case {case}"}'
 
 
-def _check_cases(scene, groups, settings, tool) -> None:
+def _check_cases(scene, cases, settings, tool) -> None:
     """Raises with the name of the first run whose motion is refused."""
-    counts = Counter(_id(case) for some in groups.values() for case in some)
+    counts = Counter(map(catalogue.run_id, cases))
     if twice := sorted(str(name) for name, count in counts.items() if count > 1):
         raise ValueError(f'{scene.name}: the runs {twice} are named twice')
-    for name, some in groups.items():
-        for case in some:
-            try:
-                run.prepared(catalogue.in_bin(scene, name), case, settings, tool)
-            except ValueError as error:
-                raise ValueError(f'{_name(scene, case)}: {error}') from error
+    for case in cases:
+        try:
+            run.prepared(catalogue.in_bin(scene, case), case, settings, tool)
+        except ValueError as error:
+            raise ValueError(f'{_name(scene, case)}: {error}') from error
 
 
 def _unfinished(job: _Job, cases, finished: list[dict]) -> list:
     """Returns the cases that are not finished; refuses a path or tool of other content."""
     done = {entry['case']: entry['parameters'] for entry in finished}
     for case in cases:
-        if made := done.get(_id(case)):
+        name = catalogue.run_id(case)
+        if made := done.get(name):
             asked = catalogue.motion_of(job.scene, case, job.tool).parameters
             other = [key for key in ('path_sha256', 'tool') if asked.get(key) != made.get(key)]
             if other:
                 raise ValueError(
-                    f'{job.folder}: {raw_run.file_name(_id(case))} was made with another '
+                    f'{job.folder}: {raw_run.file_name(name)} was made with another '
                     f'{" and ".join(other)}; name another folder'
                 )
-    return [case for case in cases if _id(case) not in done]
+    return [case for case in cases if catalogue.run_id(case) not in done]
 
 
 def _generate(job: _Job, cases, num_processes, where):
@@ -172,7 +164,7 @@ def _generate(job: _Job, cases, num_processes, where):
         workers.start(where, min(num_processes, len(todo))) as crew,
         tqdm(total=len(todo), desc=scene.name, unit='run') as bar,
     ):
-        for outcome in crew.run(_simulate, [(job, case) for case in todo]):
+        for outcome in crew.run(job.simulate, todo):
             case = todo[outcome.index]
             note(case, outcome.error if outcome.error is not None else outcome.value)
             bar.update()

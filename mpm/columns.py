@@ -1,4 +1,8 @@
-"""What the kernels share: the columns of the particle array, and how Numba compiles them."""
+"""What the kernels share: the columns of the particle array, and how Numba compiles them.
+
+Their arguments `block`, `nodes`, `grid`, `soil`, `body` and `law` are a `solver.Block`,
+`solver.Nodes`, `grid.Grid`, `constitutive.Soil`, `bodies.Body` and `contact.ContactLaw`.
+"""
 
 import hashlib
 import os

@@ -111,12 +111,11 @@ def update_stress(block, start, count, dt, soil, damping_time):
     on rows of CHUNK numbers a known way apart, so that particles share a vector register.
 
     Args:
-        block: `solver.Block`; `elastic` (deviator and strain of volume) is updated, `gradient` is
+        block: `elastic` (deviator and strain of volume) is updated, `gradient` is
             read (1/s), `stress` filled with the stress that acts: sigma + damping_time d sigma / dt
             (Pa; xx yy zz xy yz zx).
         start, count: which particles, at most CHUNK, the first of a chunk.
         dt: s.
-        soil: `Soil`.
         damping_time: s, see `stability.damping_time`.
     """
     e, gradient, stress = block.elastic, block.gradient, block.stress

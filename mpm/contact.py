@@ -54,13 +54,9 @@ def contact(block, nodes, grid, near, body, law, pose, rates, dt, load):
     """Eqs. (5) and (6) at the given moment: adds forces to the nodes, writes those on the body.
 
     Args:
-        block: `solver.Block`; its weights are those of the last exchange, to which the nodes'
-            displacements are added.
-        nodes: `solver.Nodes`.
-        grid: `grid.Grid`.
+        block: its weights are those of the last exchange, to which the nodes' displacements are
+            added.
         near: int64, the particles to look at.
-        body: `bodies.Body`.
-        law: `ContactLaw`.
         pose: x, y (m) of the reference point, angle (rad), z (m).
         rates: of the pose, m/s and rad/s.
         dt: s, over which contacts have been dragged since the last call.

@@ -61,8 +61,7 @@ def start_nodes(nodes, grid, box, fall):
     """Turns the scattered momentum into velocity; lists the nodes that soil touches.
 
     Args:
-        nodes: `solver.Nodes`.
-        grid: `grid.Grid`; soil rests on and beyond its walls.
+        grid: soil rests on and beyond its walls.
         box: first and last node (exclusive) per axis that can have been touched.
         fall: m/s, downwards, that gravity adds.
 
@@ -102,8 +101,6 @@ def kick(nodes, grid, free, dt, gravity, settling, drift):
     """v_i += dt (f_i / m_i + g), then u_i += drift v_i; forces are zero again afterwards.
 
     Args:
-        nodes: `solver.Nodes`, of which `free` are free.
-        grid: `grid.Grid`.
         free: number of free nodes.
         dt: s, of the kick.
         gravity: m/s2, along -y; 0 where `start_nodes` has added it.

@@ -97,9 +97,8 @@ def planned(tool: dict, count: int) -> tuple[scenes.Scene, str, list[str]]:
     is_wide = scene.name == 'excavation' and tool['width'] > WIDE
     kinds = 'tools' if is_wide else KINDS[scene.name]
     cases = catalogue.select_seeds(scene, f'{FIRST_SEED}-{FIRST_SEED + count - 1}', kinds)
-    box = catalogue.in_bin(scene, catalogue.bin_name(scene, cases[0]))
     for case in cases:
-        run.prepared(box, case, Settings(), tool)
+        run.prepared(catalogue.in_bin(scene, case), case, Settings(), tool)
     return scene, kinds, list(cases)
 
 

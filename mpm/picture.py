@@ -102,7 +102,7 @@ def draw(scene: scenes.Scene, cases, output_path: str, tool: dict | None = None)
     `catalogue.motion_of`."""
     if not cases:
         raise ValueError('nothing to draw: --cases, --operator_seeds, --path or --raw_path')
-    drawn = [catalogue.in_bin(scene, catalogue.bin_name(scene, case)) for case in cases]
+    drawn = [catalogue.in_bin(scene, case) for case in cases]
     motions = [catalogue.motion_of(within, case, tool) for within, case in zip(drawn, cases)]
     columns = min(3, len(motions))
     figure, grid = panels(-(-len(motions) // columns), columns, (4.6, 2.6))
@@ -140,7 +140,7 @@ def body_of(parameters: dict) -> bodies.Body:
 def draw_runs(folder: str, cases, output_path: str) -> None:
     """Draws raw runs of a folder into one picture file, a row each; ValueError: it lacks one."""
     figure, grid = panels(len(cases), MOMENTS, (2.8, 1.9))
-    for row, case in zip(grid, cases):
+    for row, case in zip(grid, map(catalogue.run_id, cases)):
         run = raw_run.read_run(os.path.join(folder, raw_run.file_name(case)))
         body, (length, depth, _) = body_of(run.parameters), run.parameters['bin_m']
         way = 1e3 * np.linalg.norm(run.positions - run.positions[0], axis=2)

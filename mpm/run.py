@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mpm import bodies, scenes, splits, stability, versions
+from mpm import DATA_VERSION, SOLVER_VERSION, bodies, scenes, splits, stability
 from mpm.constitutive import Soil, friction_coefficient, make_soil
 from mpm.height_map import HeightMap
 from mpm.motions import checks
@@ -123,8 +123,8 @@ def run_case(
     record = {
         'case': motion.case,
         'split': splits.split_of(scene, motion.case),
-        'solver_version': versions.SOLVER_VERSION,
-        'data_version': versions.DATA_VERSION,
+        'solver_version': SOLVER_VERSION,
+        'data_version': DATA_VERSION,
         'context': {name: float(value) for name, value in context},
         **motion.parameters,
         'friction_angle_deg': ground.friction_angle_deg,

@@ -63,9 +63,6 @@ class Simulation:
     """Soil and body of one run, advanced frame by frame.
 
     Attributes:
-        box: the bin.
-        grid: `grid.Grid`.
-        soil: of the bin.
         drive: the body and its motion.
         gravity: m/s2.
         free: `solver.Free` of the body: its free coordinates, their rates, what drives them.

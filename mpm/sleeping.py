@@ -48,17 +48,15 @@ class Sleep:
         speed = np.linalg.norm(step, axis=1).max() * (len(path) - 1) / period
         self._limit = max(SLOWEST, SHARE * speed)
         recent = self._moved >= self._period - MEMORY
-        for axis, cells_off in enumerate(np.ceil(SOIL_REACH / self._grid.cell - 1e-9).astype(int)):
-            recent = _spread(recent, axis, -cells_off, cells_off)
-        return recent[tuple(cells.T)] | _near(positions, body, path)
+        cells_off = np.ceil(SOIL_REACH / self._grid.cell - 1e-9).astype(int)
+        return _spread(recent, 2 * cells_off + 1)[tuple(cells.T)] | _near(positions, body, path)
 
     def nodes_asleep(self, positions: np.ndarray) -> np.ndarray:
         """Returns bool [nodes], in the kernels' order: those that sleeping particles touch."""
         base = np.zeros(self._grid.shape, dtype=bool)
         base[tuple((self._cells(positions - 0.5 * self._grid.cell)).T)] = True
-        for axis in range(3):
-            base = _spread(base, axis, 0, 2)
-        # From (x, y, z) to the kernels' (y, x, z).
+        # Of each three nodes from the first on; from (x, y, z) to the kernels' (y, x, z).
+        base = _spread(base, 3, origin=1)
         return base.transpose(1, 0, 2).ravel()
 
     def _cells(self, positions):
@@ -76,14 +74,8 @@ def _near(positions, body, path):
     return near
 
 
-def _spread(mask, axis, first, last):
-    """The mask, spread over `first` to `last` cells along an axis."""
-    spread = np.zeros_like(mask)
-    size = mask.shape[axis]
-    for shift in range(first, last + 1):
-        to = [slice(None)] * mask.ndim
-        of = [slice(None)] * mask.ndim
-        to[axis] = slice(max(shift, 0), size + min(shift, 0))
-        of[axis] = slice(max(-shift, 0), size + min(-shift, 0))
-        spread[tuple(to)] |= mask[tuple(of)]
-    return spread
+def _spread(mask, size, origin=0):
+    """The mask, spread over boxes of so many cells along each axis."""
+    from scipy.ndimage import maximum_filter  # slow to load, and help does not wait for it
+
+    return maximum_filter(mask, size, mode='constant', origin=origin)

@@ -88,14 +88,14 @@ class Free(NamedTuple):
 class Motion(NamedTuple):
     """A body and how it moves during a call of `advance`."""
 
-    body: Body  # `bodies.Body`
-    law: ContactLaw  # `contact.ContactLaw`
+    body: Body
+    law: ContactLaw
     # float64 [steps + 1, 4]: x, y (m) of the reference point, the angle (rad) and z (m) at the ends
     # of all steps; of free coordinates the actuator's target
     path: np.ndarray
     # float64 [steps + 1, 3]: force (N, N, N m) on free coordinates, at the same times
     external: np.ndarray
-    free: Free  # `Free`
+    free: Free
     near: np.ndarray  # int64, rows of the block among which contact is looked for
     # float64 [steps, 6], filled: mean force (N) of the soil on the body in each step, and torque (N
     # m) about its reference point
@@ -179,13 +179,11 @@ def advance(
     """Advances the soil (and what is free of the bodies) by exchange intervals. Works in place.
 
     Args:
-        block: `Block`, of the nodes' type.
-        nodes: `Nodes`, all zero but for `asleep`; zero again afterwards.
-        grid: `grid.Grid`.
+        block: of the nodes' type.
+        nodes: all zero but for `asleep`; zero again afterwards.
         intervals: how many.
         steps: per interval.
         dt: time step, s. The caller has checked it (`stability`).
-        soil: `Soil`.
         volume: m3 of packed soil per particle.
         damping_time: s, of elastic waves (`stability.damping_time`).
         gravity: m/s2, along -y.
@@ -195,12 +193,9 @@ def advance(
             two of them.
         status: int64 [2]: error code, row of the block.
     """
-    mass = volume * soil.bulk_density
     load = np.zeros(6)
     for interval in range(intervals):
-        box = particles_to_grid(
-            block, nodes.velocity, grid, 0.5 * dt, mass, volume, soil.bulk_modulus, status
-        )
+        box = particles_to_grid(block, nodes.velocity, grid, 0.5 * dt, volume, soil, status)
         free, touched = start_nodes(nodes, grid, box, 0.5 * dt * gravity)
         if status[0] != OK:
             clear(nodes, touched)
@@ -225,13 +220,10 @@ class Solver:
     """`advance` with its work space, for one soil on one grid.
 
     Attributes:
-        grid: `grid.Grid`.
-        soil: `Soil`.
         volume: m3 of packed soil per particle.
         exchange: s, between two exchanges.
         steps: per exchange interval.
         dt: time step, s.
-        law: `contact.ContactLaw`.
     """
 
     def __init__(

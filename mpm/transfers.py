@@ -75,9 +75,9 @@ def scatter(grid, base, strides, kept, at, affine):
         affine: four registers of four: at the particle, and the change per cell along x, y, z.
     """
     first, along_x, along_y, along_z = affine
-    first = vectors.muladd_at(kept, at + WAY + index(2), along_z, first)
-    first = vectors.muladd_at(kept, at + WAY + index(1), along_y, first)
-    first = vectors.muladd_at(kept, at + WAY, along_x, first)
+    first = vectors.muladd(kept[at + WAY + index(2)], along_z, first)
+    first = vectors.muladd(kept[at + WAY + index(1)], along_y, first)
+    first = vectors.muladd(kept[at + WAY], along_x, first)
     w = vectors.stretch(vectors.load(kept, at + WZ))
     k = vectors.stretch(vectors.make(grid, 0.0, 1.0, 2.0, 0.0))
     plane = vectors.add(vectors.repeat(first), vectors.multiply(k, vectors.repeat(along_z)))
@@ -85,12 +85,12 @@ def scatter(grid, base, strides, kept, at, affine):
     along_x = vectors.multiply(w, vectors.repeat(along_x))
     along_y = vectors.multiply(w, vectors.repeat(along_y))
     for j in range(3):
-        row = vectors.scale_at(kept, at + WY + index(j), plane)
-        step = vectors.scale_at(kept, at + WY + index(j), along_x)
+        row = vectors.scale(kept[at + WY + index(j)], plane)
+        step = vectors.scale(kept[at + WY + index(j)], along_x)
         node = base + index(j) * strides[1]
         for i in range(3):
             old = vectors.load_row(grid, node)
-            vectors.store_row(grid, node, vectors.muladd_at(kept, at + WX + index(i), row, old))
+            vectors.store_row(grid, node, vectors.muladd(kept[at + WX + index(i)], row, old))
             row = vectors.add(row, step)
             node = node + strides[0]
         plane = vectors.add(plane, along_y)
@@ -111,15 +111,15 @@ def gather(grid, base, strides, kept, at):
         middle = vectors.load_row(grid, node + strides[0])
         last = vectors.load_row(grid, node + index(2) * strides[0])
         # sum w g and sum w i g along x; then along y, and along z for all of them at once.
-        middle = vectors.scale_at(kept, at + WX + index(1), middle)
-        plane = vectors.muladd_at(kept, at + WX, first, middle)
-        plane = vectors.muladd_at(kept, at + WX + index(2), last, plane)
-        slope = vectors.muladd_at(kept, at + TWICE, last, middle)
-        total = vectors.muladd_at(kept, at + WY + index(j), plane, total)
-        total_i = vectors.muladd_at(kept, at + WY + index(j), slope, total_i)
+        middle = vectors.scale(kept[at + WX + index(1)], middle)
+        plane = vectors.muladd(kept[at + WX], first, middle)
+        plane = vectors.muladd(kept[at + WX + index(2)], last, plane)
+        slope = vectors.muladd(kept[at + TWICE], last, middle)
+        total = vectors.muladd(kept[at + WY + index(j)], plane, total)
+        total_i = vectors.muladd(kept[at + WY + index(j)], slope, total_i)
         if j > 0:
             factor = at + (WY if j == 1 else TWICE) + index(1)
-            total_j = vectors.muladd_at(kept, factor, plane, total_j)
+            total_j = vectors.muladd(kept[factor], plane, total_j)
     w = vectors.stretch(vectors.load(kept, at + WZ))
     k = vectors.stretch(vectors.make(grid, 0.0, 1.0, 2.0, 0.0))
     total = vectors.multiply(w, total)
@@ -127,9 +127,9 @@ def gather(grid, base, strides, kept, at):
     y = vectors.fold(vectors.multiply(w, total_j))
     z = vectors.fold(vectors.multiply(k, total))
     mean = vectors.fold(total)
-    x = vectors.muladd_at(kept, at + WAY, mean, x)
-    y = vectors.muladd_at(kept, at + WAY + index(1), mean, y)
-    z = vectors.muladd_at(kept, at + WAY + index(2), mean, z)
+    x = vectors.muladd(kept[at + WAY], mean, x)
+    y = vectors.muladd(kept[at + WAY + index(1)], mean, y)
+    z = vectors.muladd(kept[at + WAY + index(2)], mean, z)
     return (x, y, z), mean
 
 
@@ -139,12 +139,12 @@ def interpolate(grid, base, strides, kept, at):
     total = vectors.repeat(vectors.make(grid, 0.0, 0.0, 0.0, 0.0))
     for j in range(3):
         node = base + index(j) * strides[1]
-        plane = vectors.scale_at(kept, at + WX, vectors.load_row(grid, node))
+        plane = vectors.scale(kept[at + WX], vectors.load_row(grid, node))
         for i in range(1, 3):
             node = node + strides[0]
             row = vectors.load_row(grid, node)
-            plane = vectors.muladd_at(kept, at + WX + index(i), row, plane)
-        total = vectors.muladd_at(kept, at + WY + index(j), plane, total)
+            plane = vectors.muladd(kept[at + WX + index(i)], row, plane)
+        total = vectors.muladd(kept[at + WY + index(j)], plane, total)
     w = vectors.stretch(vectors.load(kept, at + WZ))
     return vectors.parts(vectors.fold(vectors.multiply(w, total)))
 
@@ -156,18 +156,16 @@ def strides_of(shape):
 
 
 @numba.njit(**JIT)
-def particles_to_grid(block, velocity, grid, half_step, mass, volume, bulk_modulus, status):
+def particles_to_grid(block, velocity, grid, half_step, volume, soil, status):
     """Eq. (1), and the half kick of the soil's own forces (3) that begins an exchange interval.
 
     Fills `block.base`, `weights` and `elastic` for the interval; adds to `velocity`.
 
     Args:
-        block: `solver.Block` of the particles that are awake.
+        block: of the particles that are awake.
         velocity: float64 [4 nodes], zero: momentum (N s) and mass (kg) afterwards.
-        grid: `grid.Grid`.
         half_step: half a time step, s.
-        mass, volume: of a particle as packed, kg and m3.
-        bulk_modulus: Pa.
+        volume: of a particle as packed, m3.
         status: int64 [2]: code and row of the block are set on an error.
 
     Returns:
@@ -180,6 +178,7 @@ def particles_to_grid(block, velocity, grid, half_step, mass, volume, bulk_modul
     dx, dz = grid.dx, grid.dz
     # -dt/2 V / D per cell, and the columns of C per cell: what a node one cell on gets more.
     plane, across = -half_step * volume * 4.0 * inverse, -half_step * volume * 4.0 * inverse_z
+    mass = volume * soil.bulk_density
     mass_x, mass_z = mass * dx, mass * dz
     i0, i1, j0, j1, k0, k1 = nx, 0, ny, 0, nz, 0
     for n in range(len(q)):
@@ -204,7 +203,7 @@ def particles_to_grid(block, velocity, grid, half_step, mass, volume, bulk_modul
         block.base[n] = base
         keep_weights(block.weights, n, place)
         keep_elastic(block, n)
-        p = pressure_of(ratio - 1.0, bulk_modulus)
+        p = pressure_of(ratio - 1.0, soil.bulk_modulus)
         sp, sz = plane * ratio, across * ratio
         xx, yy, zz = q[n, S] - p, q[n, S + 1] - p, q[n, S + 2] - p
         xy, yz, zx = q[n, S + 3], q[n, S + 4], q[n, S + 5]

@@ -36,18 +36,13 @@ def _llvm(kind):
     )
 
 
-def _round(builder, kind, scalar):
-    """A float64 as a number of the type of `kind`."""
-    if kind.dtype == types.float32:
-        return builder.fptrunc(scalar, ir.FloatType())
-    return scalar
-
-
-def _splat(builder, kind, number):
-    """All lanes of a register the same number of its type."""
+def _splat(builder, kind, scalar):
+    """All lanes of a register the same float64, rounded to their type."""
     llvm = _llvm(kind)
+    if kind.dtype == types.float32:
+        scalar = builder.fptrunc(scalar, ir.FloatType())
     empty = ir.Constant(llvm, ir.Undefined)
-    one = builder.insert_element(empty, number, ir.IntType(32)(0))
+    one = builder.insert_element(empty, scalar, ir.IntType(32)(0))
     return _shuffle(builder, llvm, one, [0] * kind.count)
 
 
@@ -139,23 +134,19 @@ def fold(typing, row):
     return _Lanes(row.dtype, FOUR)(row), code
 
 
-def _fma(builder, kind, factor, a, b):
-    """factor * a + b of registers, rounded once where the machine can."""
-    llvm = _llvm(kind)
-    function = ir.FunctionType(llvm, [llvm] * 3)
-    name = f'llvm.fmuladd.v{kind.count}f{kind.dtype.bitwidth}'
-    return builder.call(
-        cgutils.get_or_insert_function(builder.module, function, name), [factor, a, b]
-    )
+# The factor of these two may come from memory: the machine reads and repeats it at once.
 
 
 @intrinsic
 def muladd(typing, factor, a, b):
-    """Returns factor * a + b for a scalar `factor`."""
+    """Returns factor * a + b for a scalar `factor`, rounded once where the machine can."""
 
     def code(context, builder, signature, args):
-        factor = _splat(builder, a, _round(builder, a, args[0]))
-        return _fma(builder, a, factor, args[1], args[2])
+        llvm = _llvm(a)
+        name = f'llvm.fmuladd.v{a.count}f{a.dtype.bitwidth}'
+        function = ir.FunctionType(llvm, [llvm] * 3)
+        fmuladd = cgutils.get_or_insert_function(builder.module, function, name)
+        return builder.call(fmuladd, [_splat(builder, a, args[0]), args[1], args[2]])
 
     return a(types.float64, a, a), code
 
@@ -165,41 +156,9 @@ def scale(typing, factor, a):
     """Returns factor * a for a scalar `factor`."""
 
     def code(context, builder, signature, args):
-        return builder.fmul(_splat(builder, a, _round(builder, a, args[0])), args[1])
+        return builder.fmul(_splat(builder, a, args[0]), args[1])
 
     return a(types.float64, a), code
-
-
-def _number(context, builder, kind, array, index):
-    """array[index], unchecked."""
-    return builder.load(
-        builder.gep(context.make_array(kind)(context, builder, array).data, [index])
-    )
-
-
-# With a factor from memory: the machine reads and repeats it in the same instruction.
-
-
-@intrinsic
-def muladd_at(typing, array, index, a, b):
-    """Returns array[index] * a + b."""
-
-    def code(context, builder, signature, args):
-        factor = _number(context, builder, signature.args[0], args[0], args[1])
-        return _fma(builder, a, _splat(builder, a, factor), args[2], args[3])
-
-    return a(array, types.uintp, a, a), code
-
-
-@intrinsic
-def scale_at(typing, array, index, a):
-    """Returns array[index] * a."""
-
-    def code(context, builder, signature, args):
-        factor = _number(context, builder, signature.args[0], args[0], args[1])
-        return builder.fmul(_splat(builder, a, factor), args[2])
-
-    return a(array, types.uintp, a), code
 
 
 def _elementwise(operation):

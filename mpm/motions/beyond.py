@@ -8,7 +8,7 @@ import numpy as np
 
 from mpm import bodies, scenes
 from mpm.motions import grid
-from mpm.motions.drive import Drive, poses
+from mpm.motions.drive import Drive, poses, under_load
 
 KIND = 'beyond'
 USUAL_DEG = scenes.Ground().friction_angle_deg
@@ -91,8 +91,7 @@ def _wheel(
         z = box.z_middle + aside * way / far
         return poses(times, grid.WHEEL_START_X - way, 0.0, turned / radius, z)
 
-    machine = grid.under_load(load, lambda times: np.full(len(np.atleast_1d(times)), load))
-    drive = Drive(bodies.tool_body(tool), pose, machine, rest=grid.REST_FRAMES)
+    drive = Drive(bodies.tool_body(tool), pose, under_load(load), rest=grid.REST_FRAMES)
     context = scene.parameters(122) | {
         'diameter_m': 2.0 * radius, 'load_N': load, 'tool': tool, 'friction_angle_deg': friction_deg
     }  # fmt: skip

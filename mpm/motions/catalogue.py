@@ -42,6 +42,10 @@ class Motion:
         return self.drive.lead_in + self.frames
 
 
+def run_id(case: int | str | Recording) -> int | str:
+    return case.case if isinstance(case, Recording) else case
+
+
 def bin_name(scene: scenes.Scene, case: int | str | Recording) -> str | None:
     """Returns which of the scene's `other_bins` a run needs; None: its own bin."""
     if not isinstance(case, str) or scene.name != 'excavation':
@@ -49,8 +53,9 @@ def bin_name(scene: scenes.Scene, case: int | str | Recording) -> str | None:
     return operator_paths.BINS.get(parse(scene, case)[0])
 
 
-def in_bin(scene: scenes.Scene, name: str | None) -> scenes.Scene:
-    """Returns the scene with another of its bins."""
+def in_bin(scene: scenes.Scene, case: int | str | Recording) -> scenes.Scene:
+    """Returns the scene with the bin that a run needs."""
+    name = bin_name(scene, case)
     if name is None:
         return scene
     return dataclasses.replace(scene, bin=scene.other_bins[name], other_bins={})

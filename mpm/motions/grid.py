@@ -8,8 +8,8 @@ import math
 import numpy as np
 
 from mpm import bodies
-from mpm.motions.drive import Drive, Machine, poses
-from mpm.scenes import CORNER, EARTH_GRAVITY, Scene, wheel_load
+from mpm.motions.drive import Drive, poses, under_load
+from mpm.scenes import CORNER, Scene, wheel_load
 
 RAMP_SPEED = 0.025  # m/s down, and as much forward: 45 degrees
 CUT_LENGTH = 0.4
@@ -64,22 +64,11 @@ def make_drive(scene: Scene, parameters: dict) -> Drive:
 def _wheel_drive(scene: Scene, parameters: dict) -> Drive:
     diameter = parameters['diameter_m']
     travel = WHEEL_TRAVEL[parameters['slip_percent']]
-    load = wheel_load(parameters)
 
     def pose(times):
         driven = np.maximum(np.asarray(times, dtype=np.float64), 0.0)
         turn = WHEEL_SPIN[diameter] * driven
         return poses(times, WHEEL_START_X - travel * driven, 0.0, turn, scene.bin.z_middle)
 
-    machine = under_load(load, lambda times: np.full(len(times), load))
+    machine = under_load(wheel_load(parameters))
     return Drive(bodies.make_wheel(diameter), pose, machine, rest=REST_FRAMES)
-
-
-def under_load(first: float, load) -> Machine:
-    """Returns what carries a wheel whose height is free under a load: times [T] (s) -> N, of which
-    the `first` (N) is the wheel's weight on the Earth."""
-
-    def force(times):
-        return load(times)[:, None] * [0.0, -1.0, 0.0]
-
-    return Machine((False, True, False), first / EARTH_GRAVITY, force)

@@ -15,8 +15,7 @@ import numpy as np
 
 from mpm import bodies, scenes
 from mpm.motions import checks, grid, operator_paths
-from mpm.motions.drive import Drive, Machine, poses
-from mpm.motions.levels import Levels, Track
+from mpm.motions.drive import Drive, Levels, Machine, Track, poses
 
 KINDS = ('press', 'free', 'actuated')
 MASSES = (5.0, 200.0)  # kg, set down

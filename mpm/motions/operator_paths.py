@@ -1,6 +1,6 @@
 """Paths of the blade as an operator drives it, drawn from a seed.
 
-Speed along the bed, depth and lean go from level to level by quintic pieces (`levels`), so a path
+Speed along the bed, depth and lean go from level to level by quintic pieces (`Levels`), so a path
 has a continuous acceleration and rests at time 0. A path is a pure function of kind and seed:
 
 smooth: one cut, or two without leaving the soil, speed, depth and lean varying.
@@ -28,9 +28,8 @@ import math
 import numpy as np
 
 from mpm import bodies, scenes
-from mpm.motions import checks, drawn_tools, grid
-from mpm.motions.drive import Drive, poses
-from mpm.motions.levels import Levels, Track
+from mpm.motions import checks, grid
+from mpm.motions.drive import Drive, Levels, Track, poses
 
 TURNS = ('smooth', 'stops', 'reverse', 'lift', 'disturbed')  # of seeds, if no kind is named
 KINDS = (*TURNS, 'halts', 'beside', 'soils', 'tools', 'trench', 'spread', 'backdrag')
@@ -57,6 +56,15 @@ TRENCH = (1.2, 1.5)  # m
 LAYERS = 0.003, 0.038  # m, of the edge above the bed
 LEAST_SPREAD_FRAMES, LEAST_BACKDRAG = 40, 0.12  # m
 FRAMES = {'spread': 220, 'backdrag': 290}  # of the other kinds: the scene's own, or `_trench`'s
+# Of drawn tools.
+WIDTHS = (0.15, 0.60)  # m
+BLADE_HEIGHTS = (0.15, 0.40)  # m
+EDGE_RADII = (0.008, 0.018)  # m, of blades
+BUCKET_RADII = (0.08, 0.16)  # m
+SHELL = 0.024  # m, thickness of a bucket's shell: several cells, so that no soil leaks through
+SHELL_EDGE = 0.004  # m, radius of its edges
+PLATE = 0.02  # m, of its side plates: one long cell
+SEGMENTS = 7  # of its back
 
 _STEEP_SHARE, _NARROW_SHARE, _ELSEWHERE_SHARE = 0.25, 0.3, 0.5
 
@@ -109,7 +117,7 @@ def operator_drive(
     if kind == 'soils':
         parameters['ground'] = _draw_ground(rng)
     if kind == 'tools' and tool is None:
-        tool = drawn_tools.draw(rng)
+        tool = _draw_tool(rng)
     drive, drawn = checks.first_that_fits(
         lambda: _draw(rng, scene, kind, tool), scene.bin, f'the kind {kind!r}, seed {seed}',
         lambda drive, drawn: _is_fine(drive, scene.bin, drawn),
@@ -368,3 +376,42 @@ def _earlier_pass(rng, story) -> tuple[int, tuple]:
     frames = math.ceil(story.time * scenes.FRAME_RATE - 1e-9)
     story.times[-1] = frames / scenes.FRAME_RATE
     return frames, moves
+
+
+def _draw_tool(rng) -> dict:
+    """A tool (`bodies.check_tool`): three blades to two buckets."""
+    width = round(rng.uniform(*WIDTHS), 3)
+    if rng.random() < 0.6:
+        radius = round(rng.uniform(*EDGE_RADII), 4)
+        height = round(rng.uniform(*BLADE_HEIGHTS), 3)
+        outline = [[0.0, 0.0], [0.0, height - 2 * radius]]
+        tool = {'name': 'blade', 'outline': outline, 'edge_radius': radius, 'width': width}
+        return bodies.check_tool(tool)
+    return bucket(rng.uniform(*BUCKET_RADII), width, rng.random() < 0.5)
+
+
+def bucket(radius: float, width: float, has_plates: bool) -> dict:
+    """Returns a bucket of an inner `radius` (m) and a width (m) that opens towards -x; its edge is
+    the reference point. A flat floor rises by 15 degrees behind the edge and goes over into half a
+    circle; its ends may be closed by plates."""
+    rise = math.radians(15.0)
+    along = np.array([math.cos(rise), math.sin(rise)])
+    normal = np.array([-along[1], along[0]])
+    start = 1.6 * radius * along
+    middle = start + radius * normal
+    turn = rise - math.pi / 2 + np.linspace(0.0, math.radians(165.0), SEGMENTS + 1)
+    ring = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    inner, outer = middle + radius * ring, middle + (radius + SHELL) * ring
+    # The floor tapers towards the edge.
+    edge = [[0.0, 0.0], (0.3 * SHELL * normal).tolist()]
+    outside = [(start - SHELL * normal).tolist()]
+    outline = [edge[0], *outside, *outer[1:].tolist(), *inner[::-1].tolist(), edge[1]]
+    tool = {
+        'name': 'bucket',
+        'outline': np.round(outline, 5).tolist(),
+        'edge_radius': SHELL_EDGE,
+        'width': round(width, 3),
+    }
+    if has_plates:
+        tool['side_plates'] = {'thickness': PLATE}
+    return bodies.check_tool(tool)

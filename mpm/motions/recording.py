@@ -26,8 +26,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from mpm import bodies, scenes
-from mpm.motions.drive import Drive, poses
-from mpm.motions.grid import REST_FRAMES, under_load
+from mpm.motions.drive import Drive, poses, under_load
+from mpm.motions.grid import REST_FRAMES
 from pca_tools.files import sha256_of_file
 from pca_tools.storage import csv_rows
 
@@ -149,6 +149,6 @@ def recorded_drive(scene: scenes.Scene, recording: Recording) -> tuple[Drive, di
         context['diameter_m'] = 2.0 * tool['radius']
     body = body or bodies.make_wheel(context['diameter_m'])
     load = PchipInterpolator(times, rows.get(LOAD, np.full(len(times), scenes.wheel_load(context))))
-    machine = under_load(float(load(0.0)), lambda at: load(np.clip(at, 0.0, times[-1])))
+    machine = under_load(lambda at: load(np.clip(at, 0.0, times[-1])))
     drive = Drive(body, pose, machine, rest=REST_FRAMES)
     return drive, parameters | context, float(times[-1])

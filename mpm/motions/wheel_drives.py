@@ -1,6 +1,6 @@
 """Free drives of the wheel, drawn from a seed: turn, travel and load vary in time.
 
-Turn and travel go from level to level together by quintic pieces (`levels`), each pair of levels
+Turn and travel go from level to level together by quintic pieces (`Levels`), each pair of levels
 at a slip of its own, and rest at time 0. A drive is a pure function of kind and seed; soil,
 gravity, wheel and mean load are drawn from the levels of the grid of cases. Left to the grid is
 the small wheel on the Moon: at rest already it sinks through most of the soil.
@@ -24,8 +24,7 @@ import numpy as np
 
 from mpm import bodies, scenes
 from mpm.motions import checks, grid
-from mpm.motions.drive import Drive, poses
-from mpm.motions.levels import Levels, Track
+from mpm.motions.drive import Drive, Levels, Track, poses, under_load
 
 TURNS = ('slip', 'stops', 'reverse', 'load')  # of seeds, if no kind is named
 KINDS = (*TURNS, 'height', 'wheels', 'grousers', 'brief', 'rut')
@@ -157,7 +156,7 @@ def _draw(rng, scene, kind, wheel, mean_load, context) -> tuple[Drive, dict]:
                 high = 1.0
             factors = np.concatenate([[1.0], rng.uniform(low, high, len(times) - 1)])
         load = Levels(times, mean_load * factors)
-        machine = grid.under_load(mean_load, load)
+        machine = under_load(load)
         parameters['load_min_N'] = round(float(load(shown).min()), 4)
         parameters['load_max_N'] = round(float(load(shown).max()), 4)
 

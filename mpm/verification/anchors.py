@@ -24,7 +24,7 @@ import numpy as np
 
 from mpm import bodies, scenes
 from mpm.motions import catalogue, grid
-from mpm.motions.drive import Drive, Machine, poses
+from mpm.motions.drive import Drive, Machine, poses, under_load
 from mpm.picture import panels
 from mpm.simulation import Settings
 from mpm.solver import EXCHANGE
@@ -131,8 +131,7 @@ def drive_of(wheel: Wheel, slip: float) -> Drive:
         way = RIM_SPEED * np.maximum(np.asarray(times, np.float64), 0.0)
         return poses(times, START_X - (1.0 - slip) * way, 0.0, way / body.radius, BIN.z_middle)
 
-    machine = grid.under_load(wheel.load, lambda times: np.full(len(times), wheel.load))
-    return Drive(body, pose, machine, rest=grid.REST_FRAMES)
+    return Drive(body, pose, under_load(wheel.load), rest=grid.REST_FRAMES)
 
 
 def measured(wheel: Wheel, slip: float) -> dict:

@@ -1,6 +1,7 @@
 """What is measured of a bed of soil: the height of its surface, its density, what it carries."""
 
 import numpy as np
+from scipy.ndimage import minimum_filter
 from scipy.spatial import cKDTree
 
 from mpm import columns, packing
@@ -47,10 +48,8 @@ def surface(positions: np.ndarray, box: Bin) -> np.ndarray:
 def spheres(positions: np.ndarray, box: Bin) -> np.ndarray:
     """Returns the middles [M, 3] (m) of spheres on a lattice that lie in the soil [N, 3] (m)."""
     height = surface(positions, box)
-    nx, nz = height.shape
     # A surface sees half a square beyond the next one: the lowest of five by five is below it.
-    around = np.pad(height, 2, mode='edge')
-    lowest = np.min([around[i : i + nx, k : k + nz] for i in range(5) for k in range(5)], axis=0)
+    lowest = minimum_filter(height, 5, mode='nearest')
     high = [box.size[0], positions[:, 1].max() - CORNER, box.size[2]]
     axes = [np.arange(RADIUS, end - RADIUS, APART) for end in high]
     places = np.stack(np.meshgrid(*axes, indexing='ij'), axis=-1).reshape(-1, 3)
@@ -99,7 +98,7 @@ def settled_soil(box: Bin, particles: np.ndarray, soil: Soil) -> dict:
     status = np.zeros(2, dtype=np.int64)
     # Half a step of one second: what is scattered is half the force, in N.
     extent = particles_to_grid(
-        make_block(particles), nodes.velocity, grid, 0.5, mass, volume, soil.bulk_modulus, status
+        make_block(particles), nodes.velocity, grid, 0.5, volume, soil, status
     )
     before = nodes.velocity.reshape(-1, 4).copy()
     free, _ = start_nodes(nodes, grid, extent, 0.0)

@@ -123,11 +123,9 @@ class Incline:
         """One exchange interval under a gravity `along` x and `down` (m/s2); see `solver`."""
         block = make_block(self.particles, np.float32)
         nodes, grid, dt = self._nodes, self.grid, self._dt
-        mass = self._volume * self.soil.bulk_density
         status = np.zeros(2, dtype=np.int64)
-        modulus = self.soil.bulk_modulus
         touched_box = particles_to_grid(
-            block, nodes.velocity, grid, 0.5 * dt, mass, self._volume, modulus, status
+            block, nodes.velocity, grid, 0.5 * dt, self._volume, self.soil, status
         )
         if status[0] != columns.OK:
             raise ValueError(f'particle {status[1]} left the layer')

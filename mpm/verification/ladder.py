@@ -92,8 +92,7 @@ def measured(name: str, variant: Variant) -> dict:
     """
     scene_name, case = name.split(':')
     case = int(case) if case.isdecimal() else case
-    scene = scenes.SCENES[scene_name]
-    scene = catalogue.in_bin(scene, catalogue.bin_name(scene, case))
+    scene = catalogue.in_bin(scenes.SCENES[scene_name], case)
     scene = dataclasses.replace(scene, bin=box_of(scene.bin, variant))
     frames, first, _ = CASES[name]
     settings = Settings(exchange=1.0 / (scenes.FRAME_RATE * variant.exchanges))

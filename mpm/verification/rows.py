@@ -11,7 +11,7 @@ from typing import Any
 from absl import flags
 from tqdm import tqdm
 
-from mpm.versions import SOLVER_VERSION
+from mpm import SOLVER_VERSION
 from pca_tools import command
 from pca_tools.files import read_json, write_text
 from pca_tools.storage import markdown

@@ -68,16 +68,14 @@ def rows_of(raw_path: str) -> dict:
         rows[f'leak_{scene.name}'] = partial(leak, scene, raw_path)
     for case in DENSITY_CASES:
         rows[f'density_{case}'] = partial(moved_soil, case, scenes.FRAMES - 1)
-    for scene, prefix, cases in ((EXCAVATION, '', NOISE_CASES), (WHEEL, 'wheel_', (122,))):
-        for case in cases:
-            rows[f'noise_{prefix}{case}'] = partial(noise, scene, case, PAIR_FRAMES)
-    for option in SHORT_CUTS:
-        for scene, prefix, cases in ((EXCAVATION, '', SHORT_CUT_CASES), (WHEEL, 'wheel_', (122,))):
-            for case in cases:
-                made = partial(short_cut, option, scene, case, PAIR_FRAMES)
-                rows[f'{option}_{prefix}{case}'] = made
-    for case in (122, 203):
-        rows[f'halved_wheel_{case}'] = partial(halved_step, WHEEL, case, PAIR_FRAMES)
+    pairs: list[tuple[str, Callable, tuple, tuple]] = [
+        ('noise', noise, NOISE_CASES, (122,)),
+        *((name, partial(short_cut, name), SHORT_CUT_CASES, (122,)) for name in SHORT_CUTS),
+        ('halved', halved_step, (), (122, 203)),
+    ]
+    for name, pair, blades, wheels in pairs:
+        rows |= {f'{name}_{case}': partial(pair, EXCAVATION, case, PAIR_FRAMES) for case in blades}
+        rows |= {f'{name}_wheel_{case}': partial(pair, WHEEL, case, PAIR_FRAMES) for case in wheels}
     return rows
 
 

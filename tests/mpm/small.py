@@ -8,14 +8,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mpm import bodies, packing, run, scenes
-from mpm.constitutive import make_soil
+from mpm import bodies, columns, constitutive, packing, run, scenes
 from mpm.motions import catalogue
 from mpm.motions.catalogue import Motion
 from mpm.scenes import Scene, sampled
 from mpm.simulation import Settings
+from mpm.solver import make_block
+from mpm.transfers import keep_elastic, return_elastic
 
-SOIL = make_soil(1.5e6, 0.76)
+SOIL = constitutive.make_soil(1.5e6, 0.76)
 
 
 def coarse(scene: Scene) -> Scene:
@@ -53,6 +54,35 @@ def frames(made, count):
     return np.array([np.concatenate(made.frame()) for _ in range(count)])
 
 
+def update(row, gradient, dt, damping=0.0):
+    """Updates the stress of one particle, a row of `COLUMNS`, in place; what acts, [6]."""
+    block = make_block(row[None])
+    keep_elastic(block, 0)
+    block.gradient[:: columns.CHUNK] = np.ravel(gradient)
+    constitutive.update_stress(block, 0, 1, dt, SOIL, damping)
+    return_elastic(block, 0)
+    row[:] = block.particles[0]
+    return block.stress[:: columns.CHUNK].copy()
+
+
+def spline(distance):
+    """The quadratic B-spline of a distance in cells."""
+    d = np.abs(distance)
+    return np.where(d < 0.5, 0.75 - d**2, np.where(d < 1.5, 0.5 * (1.5 - d) ** 2, 0.0))
+
+
+def fails_at(monkeypatch, failing):
+    """Lets the run of a case fail, as one does whose soil leaves the grid."""
+    whole = run.run_case
+
+    def run_case(scene, case, *arguments):
+        if case == failing:
+            raise ValueError('particle 7 left the grid at 0.1 s')
+        return whole(scene, case, *arguments)
+
+    monkeypatch.setattr(run, 'run_case', run_case)
+
+
 STEPS = 16  # a frame, of a path that is looked at
 DT = 1.0 / 60.0 / STEPS
 
@@ -86,7 +116,7 @@ def drawn(name, kind):
     made, scene = [], scenes.SCENES[name]
     for seed in range(8 if kind == 'tools' else 30):
         case = catalogue.seed_case(kind, seed)
-        within = catalogue.in_bin(scene, catalogue.bin_name(scene, case))
+        within = catalogue.in_bin(scene, case)
         motion = catalogue.motion_of(within, case)
         whole = motion.drive.pose(np.arange(motion.simulated_frames * STEPS + 1) * DT)
         recorded = whole[motion.drive.lead_in * STEPS :]

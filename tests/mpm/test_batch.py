@@ -38,16 +38,18 @@ if __name__ == '__main__':
 
 
 @pytest.fixture
-def command(tmp_path):
-    """Returns the command of such runs into the folder `out`."""
+def started(tmp_path):
+    """Starts such runs into the folder `out`."""
     (tmp_path / 'script.py').write_text(SHORT)
-    return lambda *options: [
-        sys.executable,
-        tmp_path / 'script.py',
-        options[0],
-        tmp_path / 'out',
-        *options[1:],
-    ]
+
+    def start(frames, cases, processes, **options):
+        return subprocess.Popen(
+            [sys.executable, tmp_path / 'script.py', frames, tmp_path / 'out', cases, processes],
+            stderr=subprocess.PIPE, text=True, env=os.environ | {'PYTHONPATH': str(ROOT)},
+            **options,
+        )  # fmt: skip
+
+    return start
 
 
 @pytest.fixture
@@ -146,15 +148,16 @@ def test_a_run_with_another_tool_is_not_taken_for_the_finished_one(tmp_path, sho
         make(tmp_path, 22, tool=plate(0.7))
 
 
-def test_processes_make_the_same_runs(tmp_path, command, short):
-    environment = os.environ | {'PYTHONPATH': str(ROOT)}
-    subprocess.run(command('5', '22,46', '2'), check=True, env=environment)
+def test_processes_make_the_same_runs(tmp_path, started, short):
+    process = started('5', '22,46', '2')
+    _, text = process.communicate()
+    assert process.returncode == 0, text
     make(tmp_path / 'one', 22)
     found = digests(tmp_path / 'out')
     assert set(found) == {22, 46} and digests(tmp_path / 'one')[22] == found[22]
 
 
-def test_disk_that_fills_up_stops_with_the_name_and_loses_nothing(tmp_path, command):
+def test_disk_that_fills_up_stops_with_the_name_and_loses_nothing(tmp_path, started):
     """A limit on the size of files in place of a full disk: the packing is there, no run fits."""
     folder = tmp_path / 'out'
     folder.mkdir()
@@ -163,25 +166,16 @@ def test_disk_that_fills_up_stops_with_the_name_and_loses_nothing(tmp_path, comm
     def limit():
         resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))
 
-    full = subprocess.run(
-        command('40', '22', '1'), preexec_fn=limit, capture_output=True, text=True,
-        env=os.environ | {'PYTHONPATH': str(ROOT)},
-    )  # fmt: skip
+    full = started('40', '22', '1', preexec_fn=limit)
+    _, text = full.communicate()
     assert full.returncode != 0
-    assert 'cannot write' in full.stderr and 'run_022.npz: File too large' in full.stderr
+    assert 'cannot write' in text and 'run_022.npz: File too large' in text
     assert not list(folder.glob('*run_022*'))
 
 
 def test_run_that_fails_does_not_stop_the_others(tmp_path, short, monkeypatch):
-    whole = batch.run.run_case
-
-    def fails_at_186(scene, case, *arguments):
-        if case == 186:
-            raise ValueError('particle 7 left the grid at 0.1 s')
-        return whole(scene, case, *arguments)
-
     with monkeypatch.context() as patch:
-        patch.setattr(batch.run, 'run_case', fails_at_186)
+        small.fails_at(patch, 186)
         words = '1 of 3 runs failed, 2 were made.*\n.*case 186: particle 7'
         with pytest.raises(ValueError, match=words):
             make(tmp_path, 22, 186, 'stops_0001')
@@ -211,12 +205,9 @@ def test_changed_file_is_not_taken_for_the_finished_run(tmp_path, short):
         make(tmp_path / 'out', mine)
 
 
-def test_killed_worker_is_an_error_and_not_a_wait(command):
+def test_killed_worker_is_an_error_and_not_a_wait(started):
     """A process of the pool that the system kills (memory) ends the command with a message."""
-    process = subprocess.Popen(
-        command('321', '22,186', '2'),
-        stderr=subprocess.PIPE, text=True, env=os.environ | {'PYTHONPATH': str(ROOT)},
-    )  # fmt: skip
+    process = started('321', '22,186', '2')
     deadline = time.monotonic() + 60
     workers = []
     while len(workers) < 2 and time.monotonic() < deadline:

@@ -8,17 +8,17 @@ import pytest
 from scipy.spatial import cKDTree
 
 from mpm import bodies
-from mpm.motions import drawn_tools
+from mpm.motions import operator_paths
 
-BUCKET = bodies.tool_body(drawn_tools.bucket(0.1, 0.3, True))
-LUGS = bodies.make_wheel(0.2, 0.1, (8, 0.02, 0.01))
+BUCKET = bodies.tool_body(operator_paths.bucket(0.1, 0.3, True))
 BODIES = {
     'blade': bodies.make_blade(0.3),
     'wheel': bodies.make_wheel(0.15),
-    'lugs': LUGS,
+    'lugs': bodies.make_wheel(0.2, 0.1, (8, 0.02, 0.01)),
     'bucket': BUCKET,
-    'open bucket': bodies.tool_body(drawn_tools.bucket(0.1, 0.3, False)),
+    'open bucket': bodies.tool_body(operator_paths.bucket(0.1, 0.3, False)),
 }
+EACH = pytest.mark.parametrize('body', BODIES.values(), ids=BODIES)
 STEP = 2e-3  # m, between points of a cloud
 
 
@@ -65,9 +65,8 @@ def signed(body, points, angle=0.0):
     return np.array([bodies.signed_distance(body, sine, cosine, *point) for point in points])
 
 
-@pytest.mark.parametrize('name', BODIES)
-def test_sign_is_that_of_the_shape(name):
-    body = BODIES[name]
+@EACH
+def test_sign_is_that_of_the_shape(body):
     rng = np.random.default_rng(0)
     points = rng.uniform(-1.0, 1.0, (3000, 3)) * [0.45, 0.45, body.half_width + 0.05]
     found = signed(body, points)[:, 0]
@@ -76,10 +75,9 @@ def test_sign_is_that_of_the_shape(name):
     assert 0.002 < (found < 0.0).mean() < 0.9
 
 
-@pytest.mark.parametrize('name', BODIES)
-def test_distance_outside_is_the_nearest_point_of_the_shape(name):
+@EACH
+def test_distance_outside_is_the_nearest_point_of_the_shape(body):
     """Against a dense cloud of points inside: exact to the spacing of the cloud."""
-    body = BODIES[name]
     reach, half = body.reach + STEP, body.half_width
     rng = np.random.default_rng(1)
     axis = np.arange(-reach, reach, 2 * STEP)
@@ -103,19 +101,14 @@ def test_distance_outside_is_the_nearest_point_of_the_shape(name):
     assert (gap > found[outside, 0] - 1e-9).all()  # no point of the shape is nearer
 
 
-@pytest.mark.parametrize('name', BODIES)
-def test_normal_is_the_gradient(name):
-    body = BODIES[name]
+@EACH
+def test_normal_is_the_gradient(body):
     rng = np.random.default_rng(2)
     points = rng.uniform(-1.0, 1.0, (200, 3)) * [0.3, 0.3, body.half_width + 0.04]
     found = signed(body, points)
     step = 1e-6
-    slope = (
-        np.stack(
-            [signed(body, points + step * unit)[:, 0] - found[:, 0] for unit in np.eye(3)], axis=1
-        )
-        / step
-    )
+    moved = [signed(body, points + step * unit)[:, 0] for unit in np.eye(3)]
+    slope = (np.stack(moved, axis=1) - found[:, :1]) / step
     smooth = np.abs(np.linalg.norm(slope, axis=1) - 1.0) < 1e-3  # not where two parts meet
     assert smooth.mean() > 0.95
     np.testing.assert_allclose(slope[smooth], found[smooth, 1:], atol=2e-3)
@@ -131,9 +124,8 @@ def test_leaning_body_is_the_upright_one_turned():
     np.testing.assert_allclose(turned[:, 1:], upright[:, 1:] @ turn, atol=1e-9)
 
 
-@pytest.mark.parametrize('name', BODIES)
-def test_lowest_point_and_extent_are_those_of_the_cloud(name):
-    body = BODIES[name]
+@EACH
+def test_lowest_point_and_extent_are_those_of_the_cloud(body):
     axis = np.arange(-body.reach, body.reach, 4e-3)
     grid = np.stack(np.meshgrid(axis, axis, [0.0, body.half_width]), axis=-1).reshape(-1, 3)
     cloud = grid[is_inside(body, grid)][:, :2]
@@ -175,16 +167,10 @@ def test_wheel_points_and_edges(diameter, width):
         assert chord == pytest.approx(diameter * math.sin(math.pi / 8))
 
 
-def test_bad_bodies_are_refused():
-    with pytest.raises(ValueError, match='width'):
-        bodies.make_blade(0.0)
-
-    with pytest.raises(ValueError, match='overlap'):
-        bodies.make_wheel(0.1, 0.1, (60, 0.02, 0.01))
-
-
 PLATE = {'name': 'plate', 'outline': [[0, 0], [0, 0.2]], 'edge_radius': 0.01, 'width': 0.3}
 SQUARE = [[0, 0], [0.1, 0], [0.1, 0.1], [0, 0.1]]
+BARS = {'count': 8, 'height': 0.01, 'thickness': 0.004}
+WHEEL = {'radius': 0.05, 'width': 0.1, 'grousers': BARS}
 
 
 def test_a_tool_is_read_from_its_file(tmp_path):
@@ -201,45 +187,37 @@ def test_a_tool_is_read_from_its_file(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ('change', 'words'),
+    ('tool', 'change', 'words'),
     [
-        ({'outline': [[0, 0], [0.1, 0.1], [0.1, 0], [0, 0.1]]}, 'crosses itself: edges'),
-        ({'outline': [[0, 0], [0.1, 0], [0.2, 0]]}, 'crosses itself|encloses no area'),
-        ({'outline': [[0, 0], [0, 200]]}, 'millimetres'),
-        ({'outline': [[0, 0], [0, 0]]}, 'twice in a row'),
-        ({'outline': [[0, 0], [0, float('nan')]]}, r'list of \[x, y\]'),
-        ({'outline': 'blade'}, r'list of \[x, y\]'),
-        ({'width': -1}, 'width must be a number'),
-        ({'width': 457}, 'width must be a number from 0.0001 to 2, got 457'),
-        ({'colour': 'red'}, r"unknown entries \['colour'\]"),
-        ({'outline': SQUARE, 'side_plates': {'thickness': 0.2}}, 'thicker than the tool is wide'),
-        ({'friction': 9}, 'friction must be'),
-        ({'side_plates': 0.02}, 'side_plates must be a JSON object'),
-        ({'side_plates': {'thickness': 0.02}}, 'no side plates without an outline'),
-        (
-            {'outline': SQUARE, 'side_plates': {'thick': 0.02}},
-            r"entries \['thick'\] of side_plates",
-        ),
-        ({'radius': 0.1}, r"unknown entries \['edge_radius', 'outline'\] of the tool"),
+        (PLATE, {'outline': [[0, 0], [0.1, 0.1], [0.1, 0], [0, 0.1]]}, 'crosses itself: edges'),
+        (PLATE, {'outline': [[0, 0], [0.1, 0], [0.2, 0]]}, 'crosses itself|encloses no area'),
+        (PLATE, {'outline': [[0, 0], [0, 200]]}, 'millimetres'),
+        (PLATE, {'outline': [[0, 0], [0, 0]]}, 'twice in a row'),
+        (PLATE, {'outline': [[0, 0], [0, float('nan')]]}, r'list of \[x, y\]'),
+        (PLATE, {'outline': 'blade'}, r'list of \[x, y\]'),
+        (PLATE, {'width': -1}, 'width must be a number'),
+        (PLATE, {'width': 457}, 'width must be a number from 0.0001 to 2, got 457'),
+        (PLATE, {'colour': 'red'}, r"unknown entries \['colour'\]"),
+        (PLATE, {'friction': 9}, 'friction must be'),
+        (PLATE, {'side_plates': 0.02}, 'side_plates must be a JSON object'),
+        (PLATE, {'side_plates': {'thickness': 0.02}}, 'no side plates without an outline'),
+        (PLATE | {'outline': SQUARE}, {'side_plates': {'thickness': 0.2}}, 'thicker than the tool'),
+        (PLATE | {'outline': SQUARE}, {'side_plates': {'thick': 0.02}}, r"\['thick'\] of side_pla"),
+        (PLATE, {'radius': 0.1}, r"unknown entries \['edge_radius', 'outline'\] of the tool"),
+        (WHEEL, {'grousers': [12]}, 'grousers must be a JSON object'),
+        (WHEEL, {'grousers': BARS | {'count': 7.5}}, 'must be a whole number, got 7.5'),
+        (WHEEL, {'grousers': BARS | {'count': 80}}, '80 grousers 0.004 m thick overlap'),
+        (WHEEL, {'grousers': BARS | {'height': 0.001}}, 'must exceed half the thickness'),
+        (WHEEL, {'grousers': {'count': 8, 'height': 0.01}}, 'thickness must be a number'),
     ],
 )
-def test_a_wrong_tool_is_refused_with_its_file(tmp_path, change, words):
+def test_a_wrong_tool_is_refused_with_its_file(tmp_path, tool, change, words):
     path = tmp_path / 'tool.json'
-    path.write_text(json.dumps(PLATE | change))
+    path.write_text(json.dumps(tool | change))
     with pytest.raises(ValueError, match=f'tool.json is not a tool: .*({words})'):
         bodies.read_tool(str(path))
 
 
-@pytest.mark.parametrize(
-    ('bars', 'words'),
-    [
-        ([12], 'grousers must be a JSON object'),
-        ({'count': 7.5, 'height': 0.01, 'thickness': 0.004}, 'must be a whole number, got 7.5'),
-        ({'count': 60, 'height': 0.01, 'thickness': 0.008}, 'overlap'),
-        ({'count': 8, 'height': 0.001, 'thickness': 0.008}, 'must exceed half the thickness'),
-        ({'count': 8, 'height': 0.01}, 'thickness must be a number'),
-    ],
-)
-def test_wrong_grousers_are_refused(bars, words):
-    with pytest.raises(ValueError, match=words):
-        bodies.check_tool({'radius': 0.05, 'width': 0.1, 'grousers': bars})
+def test_a_blade_without_width_is_refused():
+    with pytest.raises(ValueError, match='width'):
+        bodies.make_blade(0.0)

@@ -7,9 +7,7 @@ import pytest
 from scipy.optimize import brentq
 
 from mpm import columns, constitutive
-from mpm.solver import make_block
-from mpm.transfers import keep_elastic, return_elastic
-from tests.mpm.small import SOIL
+from tests.mpm.small import SOIL, update
 
 
 def implicit_residual(tau, trial, p, dt, soil):
@@ -27,15 +25,12 @@ def relaxed(trial, p, dt):
     return constitutive.relax_local(trial, p, a / SOIL.grain_diameter, SOIL.mu_s, SOIL.mu_2)
 
 
-def update(row, gradient, dt, damping=0.0):
-    """Steps one particle, a row of `COLUMNS`, in place; returns the stress that acts [6]."""
-    block = make_block(row[None])
-    keep_elastic(block, 0)
-    block.gradient[:: columns.CHUNK] = np.ravel(gradient)
-    constitutive.update_stress(block, 0, 1, dt, SOIL, damping)
-    return_elastic(block, 0)
-    row[:] = block.particles[0]
-    return block.stress[:: columns.CHUNK].copy()
+def particle(ratio, *stress):
+    """A row of `COLUMNS`: volume over packed volume, and the deviatoric stress, if any."""
+    row = np.zeros(columns.COLUMNS)
+    row[columns.VOLUME_RATIO] = ratio
+    row[columns.S : columns.S + len(stress)] = stress
+    return row
 
 
 @pytest.mark.parametrize('p', [1e-3, 1.0, 1e3, 1e6])
@@ -79,9 +74,7 @@ def test_bad_soil_is_refused(arguments, words):
 
 def test_rigid_rotation_turns_the_stress():
     """A spin of a quarter turn swaps the normal stresses and leaves the invariants."""
-    row = np.zeros(columns.COLUMNS)
-    row[columns.VOLUME_RATIO] = 0.99
-    row[columns.S : columns.S + 6] = [30.0, -10.0, -20.0, 5.0, 0.0, 0.0]
+    row = particle(0.99, 30.0, -10.0, -20.0, 5.0, 0.0, 0.0)
     steps = 4000
     for _ in range(steps):
         update(row, [0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0], math.pi / 2 / steps)
@@ -92,8 +85,7 @@ def test_rigid_rotation_turns_the_stress():
 
 def test_small_strain_is_hookes_law():
     """Below the static limit: sigma = K tr(e) 1 + 2 G dev(e), all nine entries of the gradient."""
-    row = np.zeros(columns.COLUMNS)
-    row[columns.VOLUME_RATIO] = 1.0
+    row = particle(1.0)
     strain = 1e-6 * np.array([[-3.0, 0.2, 0.1], [0.3, -2.5, 0.05], [-0.2, 0.1, -2.8]])
     update(row, strain / 1e-3, 1e-3)
     small = (strain + strain.T) / 2
@@ -106,9 +98,7 @@ def test_small_strain_is_hookes_law():
 
 def test_stress_that_acts_leads_by_the_damping_time():
     """sigma + T d sigma / dt, from two updates; nothing of it is kept."""
-    row = np.zeros(columns.COLUMNS)
-    row[columns.VOLUME_RATIO] = 0.999
-    row[columns.S : columns.S + 6] = [100.0, -60.0, -40.0, 50.0, -20.0, 10.0]
+    row = particle(0.999, 100.0, -60.0, -40.0, 50.0, -20.0, 10.0)
     rate = [-0.1, 0.3, 0.1, 0.0, -0.2, 0.4, 0.2, 0.1, -0.15]
     plain, damped = row.copy(), row.copy()
     before = update(row.copy(), np.zeros(9), 1e-4)
@@ -119,8 +109,6 @@ def test_stress_that_acts_leads_by_the_damping_time():
 
 
 def test_soil_that_comes_apart_carries_nothing():
-    row = np.zeros(columns.COLUMNS)
-    row[columns.VOLUME_RATIO] = 0.9999
-    row[columns.S : columns.S + 6] = [30.0, -10.0, -20.0, 5.0, 0.0, 0.0]
+    row = particle(0.9999, 30.0, -10.0, -20.0, 5.0, 0.0, 0.0)
     acting = update(row, [10.0, 0.0, 0.0] * 3, 1e-4)
     assert not acting.any() and not row[columns.S : columns.S + 6].any()

@@ -48,10 +48,6 @@ def test_soil_that_is_carried_over_shifts_its_heights(packed):
     moved[strip, 0] += 3 * length
     heights = HeightMap(BOX, packed)(moved)
 
-    def spline(t):
-        t = np.abs(t)
-        return np.where(t < 0.5, 0.75 - t**2, np.where(t < 1.5, 0.5 * (1.5 - t) ** 2, 0.0))
-
     nx, nz = shape_of(BOX)
     i, k = nx // 3, nz // 2
     middle = CORNER + np.array([(i + 0.5) * length, (k + 0.5) * width])
@@ -59,7 +55,7 @@ def test_soil_that_is_carried_over_shifts_its_heights(packed):
 
     def column(x):
         away = (x[:, [0, 2]] - middle) / (length, width)
-        return spline(away).prod(axis=1).sum() * volume / (length * width)
+        return small.spline(away).prod(axis=1).sum() * volume / (length * width)
 
     expected = BOX.surface + column(moved) - column(packed)
     assert heights[i, k] == pytest.approx(expected, rel=1e-12)

@@ -38,7 +38,6 @@ def started(tool, out, *more, **options):
     [
         ({'outline': [[0, 0], [0.1, 0.1], [0.1, 0], [0, 0.1]]}, {}, 'crosses itself'),
         ({'width': 1.19}, {}, 'does not fit|none of 200 motions'),
-        ({'colour': 'red'}, {}, r"unknown entries \['colour'\]"),
         ({}, {'runs': 4, 'kept': 2}, 'none is left to learn from'),
         ({}, {'initial_weights': 'none_such'}, 'none_such: no folder with a config.json'),
     ],

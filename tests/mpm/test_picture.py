@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mpm import batch, bodies, picture, scenes
-from mpm.motions import drawn_tools
+from mpm.motions import operator_paths
 from mpm.motions.recording import Recording
 from mpm.simulation import Settings
 from tests.mpm import small
@@ -15,7 +15,7 @@ from tests.mpm import small
     [
         bodies.make_blade(0.4),
         bodies.make_wheel(0.15, 0.4),
-        bodies.tool_body(drawn_tools.bucket(0.1, 0.3, True))._replace(radius=0.0),
+        bodies.tool_body(operator_paths.bucket(0.1, 0.3, True))._replace(radius=0.0),
     ],
     ids=['blade', 'wheel', 'bucket'],
 )
@@ -36,16 +36,15 @@ def test_runs_are_drawn_whatever_moved_the_tool(tmp_path, monkeypatch):
     monkeypatch.setattr('mpm.motions.grid.REST_FRAMES', 2)
     path = tmp_path / 'mine.csv'
     path.write_text('time_s,x_m,y_m,angle_deg\n0,0.8,0.3,0\n0.01,0.8,0.29,-5\n')
-    bucket = drawn_tools.bucket(0.1, 0.3, True)
+    bucket = operator_paths.bucket(0.1, 0.3, True)
     for name, scene, runs, tool in (
         ('blade', small.BLADE, (22, Recording(str(path), 1)), None),
         ('bucket', small.BLADE, ('halts_0000',), bucket), ('wheel', small.WHEEL, (5,), None),
     ):  # fmt: skip
         folder, file = str(tmp_path / name), tmp_path / f'{name}.png'
         batch.generate(scene, runs, folder, Settings(), tool=tool)
-        cases = picture.first_of_each_kind(folder)
-        assert len(cases) == len(runs)
-        picture.draw_runs(folder, cases, str(file))
+        assert len(picture.first_of_each_kind(folder)) == len(runs)
+        picture.draw_runs(folder, runs, str(file))
         assert file.read_bytes()[:4] == b'\x89PNG'
     with pytest.raises(ValueError, match='no finished raw runs'):
         picture.first_of_each_kind(str(tmp_path))

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from mpm import batch, record, scenes, splits
+from mpm import record, scenes, splits
 from tests.mpm import small
 from tests.pca_tools.commands import call_command
 
@@ -41,14 +41,7 @@ def test_parts_come_in_order_and_a_second_call_makes_nothing(tmp_path, short, ca
 
 
 def test_part_that_fails_does_not_stop_the_next(tmp_path, short, monkeypatch):
-    whole = batch.run.run_case
-
-    def fails(scene, case, *arguments):
-        if case == 'smooth_0000':
-            raise ValueError('particle 7 left the grid')
-        return whole(scene, case, *arguments)
-
-    monkeypatch.setattr(batch.run, 'run_case', fails)
+    small.fails_at(monkeypatch, 'smooth_0000')
     with pytest.raises(ValueError, match='operator: 1 of 2 runs failed'):
         make(tmp_path, ['operator', 'wheel_free'])
     assert len(record.digests_of(str(tmp_path / 'wheel'))) == 2

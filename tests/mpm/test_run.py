@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from mpm import run, scenes, splits, versions
+from mpm import DATA_VERSION, SOLVER_VERSION, run, scenes, splits
 from mpm.motions import catalogue
 from mpm.picture import body_of
 from mpm.simulation import Settings
@@ -40,8 +40,7 @@ def test_parameters_say_what_was_run(made):
     assert found.pose.dtype == found.torque.dtype == np.float32 and found.step_context is None
     p = found.parameters
     assert (p['case'], p['kind'], p['path_seed'], p['split']) == ('stops_0001', 'stops', 1, 'test')
-    assert p['solver_version'] == versions.SOLVER_VERSION
-    assert p['data_version'] == versions.DATA_VERSION
+    assert (p['solver_version'], p['data_version']) == (SOLVER_VERSION, DATA_VERSION)
     assert p['penetration_deepest_cells'] >= 0.0 and p['penetration_inside'] >= 0
     assert p['blade_width_m'] in (0.30, 0.457) and p['solver_cpu_s'] > 0.0
     assert made(small.BLADE, 'stops_9001', 3).parameters['split'] is None

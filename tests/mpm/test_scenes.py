@@ -1,4 +1,4 @@
-"""Tables of cases against nested loops written out."""
+"""Tables of cases."""
 
 import itertools
 
@@ -6,21 +6,10 @@ import pytest
 
 from mpm import scenes
 
-LEVELS = {
-    'excavation': (
-        (0.02, 0.04, 0.05, 0.08, 0.10), (0.01, 0.04, 0.08, 0.10, 0.15),
-        (0.0, 3.8, 10.0, 30.8, 45.0), (1, 2),
-    ),
-    'wheel': (
-        (1.62, 3.72, 9.81), (20, 40, 70), (100.0, 164.0, 225.0), (0.05, 0.15, 0.30),
-        (30.0, 37.0, 43.0),
-    ),
-}  # fmt: skip
-
 
 @pytest.mark.parametrize('scene', scenes.SCENES.values(), ids=str)
 def test_numbers_are_nested_loops(scene):
-    expected = list(itertools.product(*LEVELS[scene.name]))
+    expected = list(itertools.product(*scene.levels.values()))
     assert scene.case_count == len(expected)
     for case in (0, len(expected) + 1):
         with pytest.raises(ValueError, match=f'cases 1 to {len(expected)}, got {case}'):

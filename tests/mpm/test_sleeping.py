@@ -37,15 +37,7 @@ def test_soil_that_moved_and_soil_near_the_body_is_awake():
         assert sleep.awake(positions, BLADE, path, period).all()  # all of it at first
     before = sleep.awake(positions, BLADE, path, period)
     # Near the body, against a distance from bodies alone.
-    distance = np.array(
-        [
-            min(
-                bodies.signed_distance(BLADE, 0.0, 1.0, *(x - [*pose[:2], MIDDLE]))[0]
-                for pose in path
-            )
-            for x in positions
-        ]
-    )
+    distance = np.min([bodies.signed_distances(BLADE, pose, positions) for pose in path], axis=0)
     reach = sleeping.BODY_REACH
     assert before[distance < reach - 1e-9].all() and not before[distance > 1.5 * reach].any()
     # One grain moves faster than a three thousandths of the blade's 0.1 m/s, another one slower.
@@ -62,12 +54,11 @@ def test_soil_that_moved_and_soil_near_the_body_is_awake():
     np.testing.assert_array_equal(sleep.awake(positions, BLADE, path, period), before)
 
 
-@pytest.fixture
-def made():
-    return lambda **settings: small.simulation(small.BLADE, 186, **settings)
+def made(**settings):
+    return small.simulation(small.BLADE, 186, **settings)
 
 
-def test_soil_that_never_sleeps_gives_the_bits_of_soil_that_may_not(made, monkeypatch):
+def test_soil_that_never_sleeps_gives_the_bits_of_soil_that_may_not(monkeypatch):
     off, on = made(sleep=False), made(sleep=True)
     monkeypatch.setattr(sleeping, 'MEMORY', 1000)  # what moved once stays awake
     np.testing.assert_array_equal(small.frames(off, 14), small.frames(on, 14))
@@ -75,7 +66,7 @@ def test_soil_that_never_sleeps_gives_the_bits_of_soil_that_may_not(made, monkey
     np.testing.assert_array_equal(off.positions(), on.positions())
 
 
-def test_sleeping_changes_little(made):
+def test_sleeping_changes_little():
     off, on = made(sleep=False), made(sleep=True)
     force, expected = small.frames(on, 40), small.frames(off, 40)
     assert len(on._awake) < 0.9 * len(on._particles)
@@ -84,7 +75,7 @@ def test_sleeping_changes_little(made):
     assert np.sqrt(((on.positions() - off.positions()) ** 2).sum(axis=1).mean()) < 5e-4
 
 
-def test_sleeping_soil_keeps_its_stress_and_its_place(made):
+def test_sleeping_soil_keeps_its_stress_and_its_place():
     simulation = made()
     small.frames(simulation, 9)  # it looked before the ninth and will before the thirteenth
     asleep = np.ones(len(simulation.positions()), dtype=bool)

@@ -1,5 +1,7 @@
 """Transfers, eqs. (1) to (4), against a plain numpy twin, and what they must conserve."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -8,7 +10,7 @@ from mpm.grid import make_grid
 from mpm.scenes import Bin
 from mpm.solver import make_block, make_nodes
 from mpm.transfers import grid_to_particles, particles_to_grid, return_elastic, strain_and_force
-from tests.mpm.small import SOIL
+from tests.mpm.small import SOIL, spline
 
 # Cells half as long again across, as those of the scenes are longer.
 BOX = Bin((0.1, 0.1, 0.12), 0.02, 0.03, (6, 6, 6), 1, 0.1, ())
@@ -33,10 +35,7 @@ def scatter(particles, dtype=np.float64):
     """Returns the block, its nodes and the box; nodes carry momentum and mass."""
     block, nodes = make_block(particles, dtype), make_nodes(GRID, dtype)
     status = np.zeros(2, dtype=np.int64)
-    mass = VOLUME * SOIL.bulk_density
-    box = particles_to_grid(
-        block, nodes.velocity, GRID, DT, mass, VOLUME, SOIL.bulk_modulus, status
-    )
+    box = particles_to_grid(block, nodes.velocity, GRID, DT, VOLUME, SOIL, status)
     assert status[0] == columns.OK
     return block, nodes, box
 
@@ -59,12 +58,6 @@ def places():
     x, y, z = (GRID.origin[a] + np.arange(GRID.shape[a]) * GRID.cell[a] for a in range(3))
     j, i, k = np.meshgrid(y, x, z, indexing='ij')
     return np.stack([i, j, k], axis=-1)
-
-
-def spline(distance):
-    """The quadratic B-spline of a distance in cells."""
-    d = np.abs(distance)
-    return np.where(d < 0.5, 0.75 - d**2, np.where(d < 1.5, 0.5 * (1.5 - d) ** 2, 0.0))
 
 
 def weights_of(row):
@@ -163,27 +156,19 @@ def test_forces_are_those_of_the_new_stress(particles, dtype):
     np.testing.assert_allclose(moment, 0.0, atol=50 * near * scale)
 
 
-@pytest.mark.parametrize('axis', [0, 1, 2])
-@pytest.mark.parametrize('place', [-1.0, 5.0, np.nan, np.inf])
-def test_particle_off_the_grid_is_reported(particles, axis, place):
-    particles[7, axis] = place
-    status = np.zeros(2, dtype=np.int64)
-    nodes = make_nodes(GRID)
-    particles_to_grid(
-        make_block(particles), nodes.velocity, GRID, DT, 1.0, 1.0, SOIL.bulk_modulus, status
-    )
-    assert tuple(status) == (columns.LEFT_GRID, 7)
-    experiment = experiments.Experiment(BOX, BOX, SOIL)
-    experiment.particles[7, axis] = place
-    with pytest.raises(ValueError, match='left the grid'):
-        experiment.solver.advance(make_block(experiment.particles), 1, 0.0)
-    # The work space is clean again.
-    assert not experiment.solver.nodes.velocity.any() and not experiment.solver.nodes.force.any()
-
-
-@pytest.mark.parametrize('ratio', [0.0, -1e-3, -0.9, np.nan])
-def test_particle_turned_inside_out_is_reported(particles, ratio):
-    experiment = experiments.Experiment(BOX, BOX, SOIL)
-    experiment.particles[7, columns.VOLUME_RATIO] = ratio
-    with pytest.raises(ValueError, match='inside out at'):
-        experiment.advance(1e-3)
+@pytest.mark.parametrize(
+    ('column', 'values', 'words'),
+    [
+        *((axis, (-1.0, 5.0, np.nan, np.inf), 'left the grid') for axis in range(3)),
+        (columns.VOLUME_RATIO, (0.0, -1e-3, -0.9, np.nan), 'was turned inside out'),
+    ],
+)
+def test_particle_off_the_grid_or_turned_inside_out_is_reported(column, values, words):
+    for value in values:
+        experiment = experiments.Experiment(BOX, BOX, SOIL)
+        experiment.particles[7, column] = value
+        place = re.escape(str(experiment.particles[7, :3]))
+        with pytest.raises(ValueError, match=f'a particle {words} at {place} m'):
+            experiment.solver.advance(make_block(experiment.particles), 1, 0.0)
+        nodes = experiment.solver.nodes  # the work space is clean again
+        assert not nodes.velocity.any() and not nodes.force.any()

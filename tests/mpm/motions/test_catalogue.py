@@ -4,29 +4,9 @@ import numpy as np
 import pytest
 
 from mpm import scenes
-from mpm.motions import beyond, catalogue, checks, drawn_tools, grid
-from mpm.motions.operator_paths import operator_drive
+from mpm.motions import beyond, catalogue, checks, operator_paths
 from mpm.motions.recording import Recording
 from tests.mpm import small
-
-TIMES = np.linspace(0, 5, 30)
-
-
-def test_number_is_a_case_of_the_grid():
-    motion = catalogue.motion_of(scenes.EXCAVATION, 186)
-    expected = grid.make_drive(scenes.EXCAVATION, scenes.EXCAVATION.parameters(186))
-    np.testing.assert_array_equal(motion.drive.pose(TIMES), expected.pose(TIMES))
-    assert motion.parameters == {'kind': 'grid', **scenes.EXCAVATION.parameters(186)}
-    assert (motion.case, motion.frames, motion.simulated_frames) == (186, 320, 320)
-
-
-@pytest.mark.parametrize('case', ['disturbed_0017', 'disturbed_17'])
-def test_kind_and_seed_are_a_path(case):
-    motion = catalogue.motion_of(scenes.EXCAVATION, case)
-    drive, parameters = operator_drive(scenes.EXCAVATION, 'disturbed', 17)
-    np.testing.assert_array_equal(motion.drive.pose(TIMES), drive.pose(TIMES))
-    assert motion.parameters == parameters and motion.case == 'disturbed_0017'
-    assert motion.simulated_frames == 320 + drive.lead_in
 
 
 @pytest.mark.parametrize(
@@ -39,13 +19,12 @@ def test_kind_and_seed_are_a_path(case):
 )  # fmt: skip
 def test_kinds_have_the_bin_that_they_need(case, size):
     """The same cells as the scene's own bin, the motion in the middle of its width."""
-    scene = catalogue.in_bin(scenes.EXCAVATION, catalogue.bin_name(scenes.EXCAVATION, case))
+    scene = catalogue.in_bin(scenes.EXCAVATION, case)
     assert scene.bin.size == size
     assert (scene.bin.dx, scene.bin.dz) == (scenes.EXCAVATION.bin.dx, scenes.EXCAVATION.bin.dz)
     motion = catalogue.motion_of(scene, case)
-    frames = motion.parameters.get('lead_in_frames', 0) + motion.frames
     checks.check_drive(motion.drive, scene.bin, motion.frames, 12)
-    z = motion.drive.pose(np.arange(frames + 1) / 60)[:, 3]
+    z = motion.drive.pose(np.arange(motion.simulated_frames + 1) / 60)[:, 3]
     assert 0.5 * (z.min() + z.max()) == pytest.approx(scene.bin.z_middle)
     assert motion.frames > 320 if case == 'trench_0003' else motion.frames == 320
 
@@ -54,7 +33,7 @@ def test_a_tool_of_the_other_scene_is_refused():
     wheel = {'name': 'mine', 'radius': 0.1, 'width': 0.1, 'friction': 0.5}
     with pytest.raises(ValueError, match="'mine' does not belong into the scene 'excavation'"):
         catalogue.motion_of(scenes.EXCAVATION, 22, wheel)
-    bucket = drawn_tools.bucket(0.1, 0.3, True)
+    bucket = operator_paths.bucket(0.1, 0.3, True)
     with pytest.raises(ValueError, match="'bucket' does not belong into the scene 'wheel'"):
         catalogue.motion_of(scenes.WHEEL, 'slip_0001', bucket)
 

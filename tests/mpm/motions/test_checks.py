@@ -5,7 +5,7 @@ import pytest
 
 from mpm import bodies, scenes
 from mpm.motions import checks, grid
-from mpm.motions.drive import Drive, Machine
+from mpm.motions.drive import Drive, Machine, under_load
 
 BOX = scenes.EXCAVATION.bin
 FLOOR = scenes.CORNER + BOX.dx
@@ -80,9 +80,9 @@ def test_speed_against_the_step_with_tip_and_rim():
     wheel, box = bodies.make_wheel(0.15), scenes.WHEEL.bin
 
     def spinning(rim):
-        machine = grid.under_load(100.0, lambda t: np.full(len(t), 100.0))
-        pose = along(0.38, 0.0, lambda t: rim / wheel.reach * t, box)
-        return Drive(wheel, pose, machine)
+        return Drive(
+            wheel, along(0.38, 0.0, lambda t: rim / wheel.reach * t, box), under_load(100.0)
+        )
 
     limit = 0.5 * box.dx * 60 * 86
     checks.check_drive(spinning(0.99 * limit), box, 3, 86)
@@ -94,7 +94,7 @@ def test_speed_against_the_step_with_tip_and_rim():
 def test_lean_load_and_nan():
     refused(held(lean_deg=61.0), 'leans by 61 deg, at most 60')
     refused(held(x=np.nan), 'at 0.000 s the pose is')
-    falling = grid.under_load(100.0, lambda t: 100.0 - 3000.0 * t)
+    falling = under_load(lambda t: 100.0 - 3000.0 * t)
     wheel = held(x=0.38, z=scenes.WHEEL.bin.z_middle, body=bodies.make_wheel(0.15), machine=falling)
     words = r'at 0.03\d s the load is -?\d.* must be positive'
     refused(wheel, words, box=scenes.WHEEL.bin)

@@ -27,8 +27,7 @@ def test_every_recorded_motion_is_drawn_again(name, count):
     for split, cases in metadata['cases'].items():
         for run, said in zip(dataset.read_split(folder, split), cases, strict=True):
             case = said['case']
-            bin_name = catalogue.bin_name(scene, case)
-            motion = catalogue.motion_of(catalogue.in_bin(scene, bin_name), case)
+            motion = catalogue.motion_of(catalogue.in_bin(scene, case), case)
             kinds.add(motion.parameters['kind'])
             assert motion.parameters.items() <= said.items(), case
             drive, machine = motion.drive, motion.drive.machine

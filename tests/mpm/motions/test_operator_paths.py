@@ -1,9 +1,21 @@
-"""Paths of an operator: within their limits, and of their kind."""
+"""Paths of an operator: within their limits, and of their kind; tools that are drawn."""
+
+import math
 
 import numpy as np
 import pytest
 
-from mpm.motions.operator_paths import FRAMES, KINDS, LAYERS, LEAST_BACKDRAG
+from mpm import bodies
+from mpm.motions.operator_paths import (
+    BUCKET_RADII,
+    FRAMES,
+    KINDS,
+    LAYERS,
+    LEAST_BACKDRAG,
+    PLATE,
+    SHELL,
+    bucket,
+)
 from tests.mpm import small
 from tests.mpm.small import STEPS
 
@@ -73,3 +85,27 @@ def test_an_earlier_pass_cuts_the_bed_before_the_first_frame(paths):
             assert (depth[np.abs(z - offset) < 1e-4] > 0.019).any()
         moves = np.abs(np.diff(z)) > 1e-12
         assert (depth[1:][moves] < 0.0).all()
+
+
+@pytest.mark.parametrize('radius', BUCKET_RADII)
+@pytest.mark.parametrize('has_plates', [True, False])
+def test_a_bucket_is_hollow_and_open_to_the_front(radius, has_plates):
+    body = bodies.tool_body(bucket(radius, 0.6, has_plates))
+    rise = math.radians(15.0)
+    along = np.array([math.cos(rise), math.sin(rise)])
+    up = np.array([-math.sin(rise), math.cos(rise)])
+    middle = 1.6 * radius * along + radius * up
+    back = middle + (radius + 0.5 * SHELL) * np.array([math.cos(0.2), math.sin(0.2)])
+    half = body.half_width
+
+    def distance(place, z=0.0):
+        return bodies.signed_distances(body, np.zeros(4), np.array([[*place, z]]))[0]
+
+    # Room for soil: the circle's own radius, less where its back is a polygon.
+    assert 0.9 * radius < distance(middle) + 0.004 < 1.001 * radius
+    assert distance(back) < -0.3 * SHELL
+    assert distance(middle - [2.0 * radius, 0.0]) > 0.3 * radius  # nothing in front of it
+    # What closes its ends is as thick as a plate, and there only.
+    in_plate = distance(middle, half - 0.5 * PLATE)
+    assert in_plate == pytest.approx(-0.5 * PLATE) if has_plates else in_plate > 0.05
+    assert distance([0.0, 0.0]) < 0.0 < distance([-0.006, 0.0])  # the edge is the reference point

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mpm import columns, packing, scenes
-from mpm.constitutive import make_soil
+from mpm.experiments import Experiment
 from mpm.verification import bed
 from mpm.verification.bed import surface
 from tests.mpm import small
@@ -72,10 +72,25 @@ def test_settled_soil_carries_its_weight():
     assert figures['stress_over_rho_g_h'] == pytest.approx(1.0, abs=5e-3)
 
 
+def test_settled_soil_rests_at_another_gravity():
+    """The stress scales with gravity, so that one packing serves all of them."""
+    box, rows = small.WHEEL.bin, small.packed(small.WHEEL)[0]
+    experiment = Experiment(box, box, small.SOIL)
+    experiment.particles = packing.for_soil(rows, small.SOIL, 1.62)
+    scaled, usual = (
+        bed.settled_soil(box, particles, small.SOIL)['stress_over_rho_g_h']
+        for particles in (experiment.particles, rows)
+    )
+    assert scaled / usual == pytest.approx(1.62 / 9.81, rel=1e-6)
+    time = experiment.advance(0.15, gravity=1.62)
+    speed = np.abs(experiment.particles[:, columns.V : columns.V + 3]).max()
+    assert speed < 0.01 * 1.62 * time
+
+
 @pytest.mark.parametrize('more', [0.0, 0.1])
 def test_stress_of_soil_is_read_above_the_lowest_cell_and_within_it(more):
     """Soil at the exact stress, and more of it within a cell of the floor."""
-    box, soil = small.BLADE.bin, make_soil(1.5e6, 0.76)
+    box, soil = small.BLADE.bin, small.SOIL
     particles = packing.lattice(box, seed=0)
     weight = soil.bulk_density * scenes.EARTH_GRAVITY * (box.surface - particles[:, 1])
     particles[:, columns.VOLUME_RATIO] = 1.0 / (1.0 + weight / soil.bulk_modulus)

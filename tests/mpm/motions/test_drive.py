@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from mpm.motions.levels import Levels, Track
+from mpm.motions.drive import Levels, Track
 
 LEVELS = Levels(np.array([0.0, 0.7, 1.0, 2.5, 3.1]), np.array([0.0, 0.12, 0.12, -0.05, 0.0]))
 
