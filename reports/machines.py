@@ -25,7 +25,7 @@ import numpy as np
 from absl import flags
 
 from pca_tools import files
-from reports import command, markdown, record
+from reports import markdown, record
 
 SUBSTEPS = 16  # of a recorded frame
 # The spring ground: N/m, N s/m, friction.
@@ -359,7 +359,7 @@ def define_flags() -> None:
     flags.DEFINE_string('output_path', None, 'Path of .json and .png, without it.', required=True)
 
 
-def main(values, _) -> None:
+def main(values) -> None:
     from learning_to_simulate.soil_field import evaluation, method, runs
 
     machines, fields = [], {name: method.load(path) for name, path in MODELS.items()}
@@ -390,7 +390,3 @@ def main(values, _) -> None:
     draw(path, f'{values.output_path}.png')
     for made in (table, coupling_table, stability_table, examples_table):
         print(made(path))
-
-
-if __name__ == '__main__':
-    command.start(define_flags, main)

@@ -21,9 +21,9 @@ import numpy as np
 import tqdm
 from absl import flags
 
-from learning_to_simulate.command import named_paths
+from learning_to_simulate.command import import_tensorflow, named_paths
 from pca_tools import files
-from reports import command, markdown, record, times
+from reports import markdown, record, times
 
 GAIN, OFF = 0.01, 0.05  # energy over that of the fall, soil over the cut: more is wrong
 AGREE = 1e-3  # of the force (root mean square), by which C and Python may differ
@@ -331,15 +331,15 @@ def define_flags() -> None:
     flags.DEFINE_string('data_path', None, 'Dataset whose run networks follow.', required=True)
     flags.DEFINE_multi_string('model', [], 'NAME=FOLDER of networks in a subspace, of a blade.')
     flags.DEFINE_string('output_path', None, 'JSON file to write.', required=True)
-    flags.DEFINE_integer('num_threads', 1, 'Threads of TensorFlow.', lower_bound=1)
 
 
-def main(values, _) -> int:
+def main(values) -> int:
     """Exit code 1 if something must not be as it is."""
+    import_tensorflow(1)
     from learning_to_simulate.native.engines import TENSORFLOW, C
     from learning_to_simulate.soil_field import method
 
-    found: dict = {'schema_version': 1, **record.provenance(values.num_threads)}
+    found: dict = {'schema_version': 1, **record.provenance(1)}
     for tool, folder in (('blade', values.soil_field), ('wheel', values.wheel)):
         field = method.load(folder)
         found[tool] = [
@@ -353,7 +353,3 @@ def main(values, _) -> int:
     print(table(values.output_path))
     rows = [*found['blade'], *found['wheel'], *(r for of in found['models'].values() for r in of)]
     return int(any(row['wrong'] for row in rows))
-
-
-if __name__ == '__main__':
-    command.start(define_flags, main)

@@ -21,10 +21,11 @@ import numpy as np
 import tqdm
 from absl import flags
 
+from learning_to_simulate import command
 from mpm import scenes
 from mpm.motions import catalogue
 from pca_tools import files
-from reports import command, markdown
+from reports import markdown
 from reports.record import ROOT
 
 MODELS = {'soil_field': 'soil field', 'pcg': 'graph network (pcg)'}
@@ -198,7 +199,7 @@ def define_flags() -> None:
     flags.DEFINE_list('cases', None, 'One run per scene; default: one that no model has seen.')
 
 
-def main(values, _) -> None:
+def main(values) -> None:
     """Runs the command.
 
     Raises:
@@ -233,4 +234,5 @@ def main(values, _) -> None:
 
 
 if __name__ == '__main__':
-    command.start(define_flags, main)
+    define_flags()
+    command.start(main)

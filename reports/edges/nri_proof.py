@@ -22,7 +22,7 @@ from matplotlib.figure import Figure
 from nri import particle_systems, simulate
 from nri.config import NriConfig
 from pca_tools import files
-from reports import command, markdown, record
+from reports import markdown, record
 
 # Unsupervised edge accuracy, Kipf et al. 2018, table 1.
 PUBLISHED = {
@@ -153,7 +153,7 @@ def define_flags():
     flags.DEFINE_string('output_path', 'docs', 'Folder for the JSON file and the picture.')
 
 
-def main(given, _) -> None:
+def main(given) -> None:
     os.makedirs(given.output_path, exist_ok=True)
     counts, config = settings_of(given.system, given.n_objects)
     result = run(given.system, given.n_objects, given.work_path, counts, config, given.model_path)
@@ -162,7 +162,3 @@ def main(given, _) -> None:
     files.write_json(f'{stem}.json', record.provenance() | result)
     draw(result, f'{stem}.png')
     print(f'wrote {stem}.json and .png: {result["test_accuracy"]:.2%} of the edges right')
-
-
-if __name__ == '__main__':
-    command.start(define_flags, main)

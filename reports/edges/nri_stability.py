@@ -27,7 +27,7 @@ from nri import edge_picture
 from nri.config import NriConfig
 from nri.export_edges import edge_posterior, spread
 from pca_tools import files, workers
-from reports import command, markdown, record
+from reports import markdown, record
 
 # What differs from `NriConfig`; the learning rate stays unless --set gives a decay_start.
 SETTINGS: dict = {'epochs': 8, 'hidden': 32, 'stride': 2, 'batch_size': 16, 'learning_rate': 1e-3,
@@ -158,12 +158,13 @@ def define_flags() -> None:
     flags.DEFINE_string('work_path', None, 'Folder for the models.', required=True)
     flags.DEFINE_string('output_path', None, 'JSON file of the result.', required=True)
     flags.DEFINE_integer('seeds', 5, 'Trainings to compare.', 2)
-    command.define_workers('Seeds trained at a time.')
+    flags.DEFINE_integer('num_processes', 1, 'Seeds trained at a time, without a cluster.', 1)
+    flags.DEFINE_string('cluster', '', 'Where that is done: local:4, slurm:64, tcp://host:port.')
     flags.DEFINE_float('threshold', 0.6, 'Edges have a probability above it.', 0.0, 1.0)
     flags.DEFINE_multi_string('set', [], f'NAME=VALUE of `NriConfig`; else {SETTINGS}.')
 
 
-def main(v, _) -> None:
+def main(v) -> None:
     types: dict = {f.name: f.type for f in dataclasses.fields(NriConfig) if f.name != 'seed'}
     types['no_edge_prior'] = float
     settings = SETTINGS | given_settings(v.set, types)
@@ -190,7 +191,3 @@ def main(v, _) -> None:
     draw(f'{stem}.png', result)
     for name, value in result['compared'].items():
         print(f'{name:22s} {value}')
-
-
-if __name__ == '__main__':
-    command.start(define_flags, main)

@@ -3,51 +3,57 @@ each in a process of its own. The errors are those that an evaluation writes (`m
 
 import hashlib
 import os
-import re
-import shlex
 import subprocess
 import sys
 
 from learning_to_simulate import checkpoints, presets
-from pca_tools import dataset, files
+from pca_tools import dataset, files, workers
 from reports.record import ROOT
 
+SPLIT = 'test'
 _TRAIN = 'learning_to_simulate.train'
 
 
 def make(job: tuple) -> None:
-    """Trains a model and rolls it out over splits, or finds that done: one task of a worker.
+    """Trains a model and rolls it out, or finds that done: one task of a worker.
 
     Args:
-      job: (dataset folder, model folder, flags of its training or None where it is trained,
-        splits, folder of the rollouts); all on a disk that this process sees.
+      job: (dataset folder, model folder, flags of its training or None where it is trained, folder
+        of the rollouts or None for none); all on a disk that this process sees.
 
     Raises:
       ValueError: see `_run`.
     """
-    data_path, model_path, flags, splits, folder = job
+    data_path, model_path, flags, folder = job
     if flags is not None and not _is_trained(model_path):
         _run([f'--data_path={data_path}', f'--model_path={model_path}', *flags])
-    for split in splits:
-        roll_out(data_path, model_path, split, folder)
+    if folder is not None:
+        roll_out(data_path, model_path, folder)
 
 
-def trainings(name: str, n_seed: int, folder: str) -> list[tuple[str, list[str]]]:
-    """Model folder and flags of each training of a method, `PRESET` or `PRESET --FLAG=VALUE ...`:
-    one a seed, in whose flags {seed} stands for it, and a single one where nothing is drawn.
+def all_made(jobs: list[tuple], num_processes: int) -> None:
+    """Does jobs of `make`, so many at a time.
 
     Raises:
-      ValueError: what follows the preset is no flag, or no preset of that name.
+      ValueError: some failed; the others are done.
     """
-    preset, *others = shlex.split(name) or ['']
-    if not preset or preset[0] == '-' or not all(other.startswith('--') for other in others):
-        raise ValueError(f'{name!r}: PRESET or PRESET --FLAG=VALUE was expected')
+    with workers.start('', num_processes) as crew:
+        failed = [
+            f'{jobs[outcome.index][1]}: {outcome.error}'
+            for outcome in crew.run(make, jobs) if outcome.error is not None
+        ]  # fmt: skip
+    if failed:
+        raise ValueError(f'{len(failed)} of {len(jobs)} models failed:\n' + '\n'.join(failed))
+
+
+def trainings(preset: str, options: list[str], n_seed: int, stem: str) -> dict[str, list[str]]:
+    """Model folder, `<stem>_<seed>`, -> flags of each training of a preset with further flags: one
+    a seed, in whose flags {seed} stands for it, and a single one where nothing is drawn."""
     draws = hasattr(presets.make_config(preset), 'seed')
-    stem = os.path.join(folder, re.sub(r'\W+', '_', name))
-    found = []
+    found = {}
     for seed in range(n_seed if draws else 1):
-        flags = [f'--preset={preset}', *(other.replace('{seed}', str(seed)) for other in others)]
-        found.append((f'{stem}_{seed}', [*flags, *[f'--seed={seed}'] * draws, '--num_threads=1']))
+        flags = [f'--preset={preset}', *(option.replace('{seed}', str(seed)) for option in options)]
+        found[f'{stem}_{seed}'] = [*flags, *[f'--seed={seed}'] * draws, '--num_threads=1']
     return found
 
 
@@ -67,19 +73,19 @@ def _is_trained(model_path):
     return not total or os.path.exists(os.path.join(model_path, f'ckpt-{total}.json'))
 
 
-def roll_out(data_path: str, model_path: str, split: str, folder: str) -> str:
-    """Rolls a model out over a split; returns the folder of its files.
+def roll_out(data_path: str, model_path: str, folder: str) -> str:
+    """Rolls a model out over the test split; returns the folder of its files.
 
     The folder is named by what model and runs are, so a second call finds it done; metrics.json is
     the last file to be written.
     """
-    digests = [checkpoints.folder_digest(model_path), digest(data_path, split)]
+    digests = [checkpoints.folder_digest(model_path), digest(data_path, SPLIT)]
     name = '_'.join([os.path.basename(model_path), *(d[:12] for d in digests)])
-    output = os.path.join(folder, name, split)
+    output = os.path.join(folder, name, SPLIT)
     if not os.path.exists(os.path.join(output, 'metrics.json')):
         _run(
             ['--mode=eval_rollout', f'--data_path={data_path}', f'--model_path={model_path}',
-             f'--eval_split={split}', f'--output_path={output}', '--num_threads=1']
+             f'--eval_split={SPLIT}', f'--output_path={output}', '--num_threads=1']
         )  # fmt: skip
     return output
 
