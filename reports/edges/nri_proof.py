@@ -19,7 +19,7 @@ import os
 from absl import flags
 from matplotlib.figure import Figure
 
-from nri import particle_systems, simulate
+from nri import simulate
 from nri.config import NriConfig
 from pca_tools import files
 from reports import markdown, record
@@ -71,13 +71,13 @@ def run(system, n_objects, work_path, counts, config, model_path=None):
     Returns:
       what the JSON file holds.
     """
-    from nri import data, experiment, losses, model
+    from nri import data, losses, model, training
 
     name = f'{system}{n_objects}'
     data_path = os.path.join(work_path, f'{"test" if model_path else "data"}_{name}')
     made_of = {'test': counts['test']} if model_path else counts
     if not os.path.exists(os.path.join(data_path, f'simulation_{name}.json')):
-        made = particle_systems.SYSTEMS[system](n_objects=n_objects)
+        made = simulate.SYSTEMS[system](n_objects=n_objects)
         sample_every = round(0.1 / made.dt)
         how = 50 * sample_every, sample_every, 42
         simulate.write_dataset(made, system, made_of, *how, data_path)
@@ -87,12 +87,12 @@ def run(system, n_objects, work_path, counts, config, model_path=None):
         windows = test.features[:, :, : config.span : config.stride]
         found = trained.window_probabilities(windows).argmax(axis=-1)
         accuracy, _ = losses.edge_accuracy(found, test.edges, config.edge_types)
-        metrics = files.read_json(os.path.join(model_path, experiment.METRICS_FILE))
+        metrics = files.read_json(os.path.join(model_path, training.METRICS_FILE))
         metrics |= {'test': {'accuracy': accuracy}}
     else:
         model_path = os.path.join(work_path, f'model_{name}')
-        metrics = experiment.train(data_path, model_path, config)
-    history = files.read_json(os.path.join(model_path, experiment.HISTORY_FILE))
+        metrics = training.train(data_path, model_path, config)
+    history = files.read_json(os.path.join(model_path, training.HISTORY_FILE))
     return {
         'system': system,
         'n_objects': n_objects,
@@ -146,7 +146,7 @@ def draw(result, path):
 
 
 def define_flags():
-    flags.DEFINE_enum('system', 'springs', sorted(particle_systems.SYSTEMS), 'What to simulate.')
+    flags.DEFINE_enum('system', 'springs', sorted(simulate.SYSTEMS), 'What to simulate.')
     flags.DEFINE_integer('n_objects', 5, 'V, number of objects.')
     flags.DEFINE_string('work_path', None, 'Folder for data and model.', required=True)
     flags.DEFINE_string('model_path', None, 'A model that was trained elsewhere: only judged.')
