@@ -15,8 +15,7 @@ Examples:
     python -m reports documents docs/mujoco.md     # the tables again, from the JSON
 """
 
-import importlib.util
-import os
+import importlib
 import sys
 import time
 from typing import Any
@@ -256,10 +255,7 @@ def rest(field, mass: float, dt: float, implicit: bool) -> dict:
 def whole(name: str) -> dict:
     """An example from its first to its last step, at 1 kHz, after a first second that compiles:
     simulated seconds to seconds of one core, and the share of steps that were flagged."""
-    folder = os.path.join(record.ROOT, 'examples')
-    spec = importlib.util.spec_from_file_location(name, os.path.join(folder, f'{name}.py'))
-    module = importlib.util.module_from_spec(spec)  # type: ignore[arg-type]
-    spec.loader.exec_module(module)  # type: ignore[union-attr]
+    module = importlib.import_module(f'examples.{name}')
     module.main(seconds=1.0)
     clock = time.process_time()
     _, judgement, rows = module.main()

@@ -86,7 +86,7 @@ def evaluate(name: str, case: int | str, out: str) -> tuple[list[dict], list[str
         results, summary = evaluator.run(groups, 'test')
         rollouts.append(results[0][-1] if is_field else model.rollout(data.test[number]))
         if len(rows) == 1:
-            rows.append(_row(markdown.TRIVIAL['stay_still'], summary['mean']['stay_still']))
+            rows.append(_row('persistence', summary['mean']['stay_still']))
         record = data.test.records[number]
         times = field_ms(model, rollouts[0]) if is_field else network_ms(model, record)
         rows.append(_row(MODELS[preset], summary['mean']['model']) | times)

@@ -8,7 +8,7 @@ Examples:
     python -m reports edges --data_path=datasets/excavation --modes=8 --nri_path=nri.json \\
         --work_path=/tmp/edges --output_path=/tmp/edges.json
 
-Every row is the preset `pcg` with another `--adjacency` and nothing else. The lists that this
+Every row is the preset `pcg` with another `adjacency` and nothing else. The lists that this
 report makes (`<work_path>/lists/<variant>_<seed>.json`) have no self-edges where they have a number
 of edges: NRI has none, and so they differ in their choice of pairs alone.
 """
@@ -18,15 +18,14 @@ import os
 import numpy as np
 from absl import flags
 
-from learning_to_simulate import connectivity_utils, reading_utils
+from learning_to_simulate import connectivity_utils, presets, reading_utils
 from learning_to_simulate.subspace import edge_lists
 from pca_tools import dataset, files
-from reports.protocol import report, rollouts
+from reports.protocol import judge, report
 
-PRESET = 'pcg'
 # Whose lists every seed has of its own; the others are of the data.
 OF_SEED = ('random', 'NRI')
-NO_LIST = {'fully_connected': '--adjacency=fully_connected', 'gates': '--gate_weight=2'}
+NO_LIST = {'fully_connected': {'adjacency': 'fully_connected'}, 'gates': {'gate_weight': 2.0}}
 
 
 def masks_of(velocities, keep: int, seed: int, nri_rows=None) -> dict:
@@ -129,16 +128,14 @@ def define_flags() -> None:
 def main(v) -> None:
     lists, models = (os.path.abspath(os.path.join(v.work_path, n)) for n in ('lists', 'models'))
     rows = nri_rows_of(v.nri_path, v.data_path)
-    variants = dict(NO_LIST)
-    for name in write_lists(lists, v.data_path, v.modes, v.keep, v.num_seeds, rows):
-        seed = '{seed}' if name in OF_SEED else 0
-        variants[name] = f'--adjacency={lists}/{name}_{seed}.json'
-    made = {
-        name: rollouts.trainings(
-            PRESET, [option, f'--modes={v.modes}'], v.num_seeds, os.path.join(models, name)
-        )
-        for name, option in variants.items()
-    }
-    jobs = [(v.data_path, *training, None) for of in made.values() for training in of.items()]
-    rollouts.all_made(jobs, v.num_processes)
-    report.write({name: list(of) for name, of in made.items()}, v)
+    written = write_lists(lists, v.data_path, v.modes, v.keep, v.num_seeds, rows)
+    jobs, methods = [], {}
+    for name in [*NO_LIST, *written]:
+        methods[name] = [os.path.join(models, f'{name}_{seed}') for seed in range(v.num_seeds)]
+        for seed, path in enumerate(methods[name]):
+            file = f'{lists}/{name}_{seed if name in OF_SEED else 0}.json'
+            setting = NO_LIST.get(name, {'adjacency': file})
+            config = presets.make_config('pcg', **setting, modes=v.modes, seed=seed)
+            jobs.append((v.data_path, path, config, None))
+    judge.make_all(jobs, v.num_processes)
+    report.write(methods, v)

@@ -6,19 +6,19 @@ of heights; so they have no errors of surface, front and heap.
 """
 
 import glob
+import hashlib
 import os
 
 import numpy as np
 
-from learning_to_simulate import registry
-from learning_to_simulate.command import named_paths
+from learning_to_simulate import checkpoints, presets, registry
+from learning_to_simulate.command import import_tensorflow, named_paths
 from mpm.verification import ladder
-from pca_tools import dataset, files
+from pca_tools import dataset, files, workers
 from reports import record
-from reports.protocol import rollouts
-from reports.protocol.rollouts import SPLIT
 
 SCHEMA_VERSION = 3
+SPLIT = 'test'
 RIDGE = 'path ridge'
 # Columns of an evaluation of a soil field that are methods of their own -> how tables call them.
 COLUMNS = {'model': '{}', 'under_load': '{}, under its load'}
@@ -74,22 +74,22 @@ def judge(
     folders = [os.path.abspath(path) for path in data_path.split(',')]
     name = os.path.basename(folders[0])
     output = os.path.join(work_path, 'rollouts', name)
-    fitted = os.path.join(work_path, f'{name}_{rollouts.digest(folders[0], "train")[:12]}')
-    ridge = rollouts.trainings('path_ridge', [], 1, os.path.join(fitted, 'path_ridge'))
-    jobs = {path: (folders[0], path, flags, output) for path, flags in ridge.items()}
+    fitted = os.path.join(work_path, f'{name}_{digest(folders[0], "train")[:12]}')
+    ridge = os.path.join(fitted, 'path_ridge_0')
+    jobs = {ridge: (folders[0], ridge, presets.make_config('path_ridge'), output)}
     for path in (path for of in methods.values() for path in of):
         data = ','.join(folders) if registry.of_folder(path).on_terrain else folders[0]
         jobs[path] = data, path, None, output
-    rollouts.all_made(list(jobs.values()), num_processes)
+    make_all(list(jobs.values()), num_processes)
 
     runs = [(i, run) for i, path in enumerate(folders) for run in runs_lib.read(path, SPLIT)]
     tool = runs[0][1].tool.name
     found: list[dict] = []
-    for method, paths in (methods | {RIDGE: list(ridge)}).items():
+    for method, paths in (methods | {RIDGE: [ridge]}).items():
         # Seeds of each column; networks have one.
         of_columns: dict[str, list] = {}
         for path in paths:
-            folder = rollouts.roll_out(jobs[path][0], path, output)
+            folder = roll_out(jobs[path][0], path, output)
             for column, seed in _seeds(path, folder, len(runs)).items():
                 of_columns.setdefault(column.format(method), []).append(seed)
         found += [{'name': n, 'seeds': seeds} for n, seeds in of_columns.items()]
@@ -111,6 +111,61 @@ def judge(
         'methods': found,
         'truth': truth_errors(tool),
     }
+
+
+def make_all(jobs: list[tuple], num_processes: int) -> None:
+    """Does jobs of `make`, so many at a time.
+
+    Raises:
+      ValueError: some failed; the others are done.
+    """
+    with workers.start('', num_processes) as crew:
+        failed = [
+            f'{jobs[outcome.index][1]}: {outcome.error}'
+            for outcome in crew.run(make, jobs) if outcome.error is not None
+        ]  # fmt: skip
+    if failed:
+        raise ValueError(f'{len(failed)} of {len(jobs)} models failed:\n' + '\n'.join(failed))
+
+
+def make(job: tuple) -> None:
+    """Trains a model and rolls it out, or finds that done: one task of a worker, on one thread.
+
+    Args:
+      job: (dataset folder, model folder, settings of its training or None where it is trained,
+        folder of the rollouts or None for none).
+    """
+    import_tensorflow(1)
+    data_path, model_path, config, folder = job
+    if config is not None:
+        registry.train(data_path, model_path, config)
+    if folder is not None:
+        roll_out(data_path, model_path, folder)
+
+
+def roll_out(data_path: str, model_path: str, folder: str) -> str:
+    """Rolls a model out over the test split, as `lts evaluate` does; returns the folder of its
+    files.
+
+    The folder is named by what model and runs are, so a second call finds it done; metrics.json is
+    the last file to be written.
+    """
+    digests = [checkpoints.folder_digest(model_path), digest(data_path, SPLIT)]
+    name = '_'.join([os.path.basename(model_path), *(d[:12] for d in digests)])
+    output = os.path.join(folder, name, SPLIT)
+    if not os.path.exists(os.path.join(output, 'metrics.json')):
+        from learning_to_simulate import evaluation
+
+        opened = registry.open_model(model_path, data_path, SPLIT)
+        results, summary = opened.evaluator.run(opened.groups, SPLIT)
+        evaluation.save_rollouts(output, SPLIT, results, summary, opened.metadata, digests[0])
+    return output
+
+
+def digest(data_path: str, split: str) -> str:
+    """Of the records of a split of datasets, separated by commas."""
+    paths = [dataset.split_path(path, split) for path in data_path.split(',')]
+    return hashlib.sha256(''.join(map(files.sha256_of_file, paths)).encode()).hexdigest()
 
 
 def _facts(path):

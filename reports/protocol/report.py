@@ -1,7 +1,7 @@
 """Judges methods on test runs: run by run, against baselines, beside the truth's own error.
 
-Train fits, valid chooses, test is only judged. Models are rolled out by `lts evaluate`, each in a
-process of its own; the ridge on the path is fitted here. Several folders of one method are
+Train fits, valid chooses, test is only judged. Models are rolled out as by `lts evaluate`, in
+processes of one thread; the ridge on the path is fitted here. Several folders of one method are
 trainings of it: its figures are mean and range.
 
 Examples:

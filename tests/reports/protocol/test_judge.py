@@ -88,6 +88,17 @@ def test_a_scene_with_a_soil_field_and_a_network_is_judged_on_the_same_runs(tmp_
     assert 'soil field' in tables.methods(Values.output_path)
 
 
+def test_other_runs_have_another_digest(tmp_path):
+    for name, text in (('a', 'one'), ('b', 'two')):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / 'test.tfrecord').write_text(text)
+    a, b = f'{tmp_path}/a', f'{tmp_path}/b'
+    found = [judge.digest(path, 'test') for path in (a, b, f'{a},{b}', f'{b},{a}')]
+    assert len(set(found)) == 4
+    (tmp_path / 'b' / 'test.tfrecord').write_text('one')
+    assert judge.digest(b, 'test') == found[0]
+
+
 def variant(cell, draft, surface=0):
     return {
         'force': [[draft, 0.0, 0.0]] * 3, 'surface': [[surface, surface]] * 2, 'cell_m': [cell] * 3
