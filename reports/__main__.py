@@ -27,6 +27,8 @@ REPORTS = {
     'nri_stability': ('edges.nri_stability', 'how far seeds of NRI agree'),
     'documents': ('documents', 'tables of the documents, again from their JSON'),
 }
+# Whose times and bits are those of one thread of TensorFlow.
+ON_ONE_THREAD = 'times', 'stability', 'beyond', 'explain'
 
 
 def main(arguments: list[str]) -> None:
@@ -49,7 +51,13 @@ def main(arguments: list[str]) -> None:
     # So that help is that of the report.
     flags.adopt_module_key_flags(report)
     sys.modules['__main__'].__doc__ = report.__doc__
-    command.start(report.main, getattr(report, 'MOST_ARGUMENTS', 0))
+
+    def run(*given):
+        if name in ON_ONE_THREAD:
+            command.import_tensorflow(1)
+        return report.main(*given)
+
+    command.start(run, getattr(report, 'MOST_ARGUMENTS', 0))
 
 
 if __name__ == '__main__':

@@ -14,7 +14,6 @@ Examples:
 import numpy as np
 from absl import flags
 
-from learning_to_simulate.command import import_tensorflow
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from pca_tools import dataset, files
 from reports import markdown, record
@@ -86,7 +85,6 @@ def separations(path: str) -> str:
 
 
 def main(values) -> None:
-    import_tensorflow(1)
     found: dict = record.provenance(1)
     found['scenes'] = {scene: judged(scene) for scene in SCENES}
     files.write_json(values.output_path, found)

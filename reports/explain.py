@@ -17,7 +17,6 @@ Examples:
 
 from absl import flags
 
-from learning_to_simulate import command
 from pca_tools import files
 from reports import markdown, record
 
@@ -42,7 +41,6 @@ def define_flags() -> None:
 
 
 def main(values) -> None:
-    command.import_tensorflow(1)
     import tensorflow as tf
 
     from reports.explanation import Explanation

@@ -21,7 +21,7 @@ import numpy as np
 import tqdm
 from absl import flags
 
-from learning_to_simulate.command import import_tensorflow, named_paths
+from learning_to_simulate.command import named_paths
 from pca_tools import files
 from reports import markdown, record, times
 
@@ -335,7 +335,6 @@ def define_flags() -> None:
 
 def main(values) -> int:
     """Exit code 1 if something must not be as it is."""
-    import_tensorflow(1)
     from learning_to_simulate.native.engines import TENSORFLOW, C
     from learning_to_simulate.soil_field import method
 

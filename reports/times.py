@@ -23,7 +23,7 @@ import time
 import numpy as np
 from absl import flags
 
-from learning_to_simulate.command import import_tensorflow, named_paths
+from learning_to_simulate.command import named_paths
 from pca_tools import dataset, files
 from reports import markdown, record, timing
 from reports.protocol import judge, tables
@@ -304,7 +304,6 @@ def main(values) -> None:
     for name in ('data_path', 'protocol', 'soil_field'):
         if not getattr(values, name):
             raise ValueError(f'--{name} is needed, or --budget_ms')
-    import_tensorflow(1)
     first = values.data_path.split(',')[0]
     models = named_paths('model', values.model, 'FOLDER')
     trained = named_paths('training_s', values.training_s, 'SECONDS')

@@ -25,7 +25,10 @@ from reports.protocol import judge, report
 
 # Whose lists every seed has of its own; the others are of the data.
 OF_SEED = ('random', 'NRI')
-NO_LIST = {'fully_connected': {'adjacency': 'fully_connected'}, 'gates': {'gate_weight': 2.0}}
+NO_LIST: dict[str, dict] = {
+    'fully_connected': {'adjacency': 'fully_connected'},
+    'gates': {'gate_weight': 2.0},
+}
 
 
 def masks_of(velocities, keep: int, seed: int, nri_rows=None) -> dict:
