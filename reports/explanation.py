@@ -233,4 +233,6 @@ def _flop(operation):
 def plain_frame(simulator, layout, state, known, context) -> float:
     """MFLOP of a frame of `LearnedSimulator.step`; `state` ... of `rollout.rollout_inputs`."""
     coming = None if known is None else known.at(0)
+    if context is not None and context.shape.rank == 3:  # it changes in time
+        context = context[0]
     return mflop(lambda *x: simulator.step(*x, layout), state, coming, context)

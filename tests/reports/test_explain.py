@@ -36,6 +36,16 @@ def test_plain_frame_equals_the_count_by_the_layers(tmp_path):
     np.testing.assert_allclose(got * 1e6, expected)
 
 
+def test_a_frame_costs_the_same_where_its_context_changes(tmp_path):
+    counts = []
+    for context in (True, 'changing'):
+        model, (group, *_), _ = models.make(tmp_path / str(context), context=context)
+        layout = model.layout(group.n_rigid)
+        inputs = rollout.rollout_inputs(group.select(0), layout, model.simulator.scene)
+        counts.append(explanation.plain_frame(model.simulator, layout, *inputs[:3]))
+    assert counts[0] == counts[1] > 0
+
+
 @pytest.fixture(scope='module')
 def trained(tmp_path_factory):
     few = {'rigid_particles': 2, 'modes': 2, 'mode_edges': 3}
