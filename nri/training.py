@@ -50,15 +50,14 @@ class Trainer:
 
     Args:
       model: `NriModel`.
-      train: training split; with edges if the model is supervised.
+      train: training split, which fits the model; with edges if that is supervised.
 
     Raises:
-      ValueError: data that does not fit the model, or supervised training without edges.
+      ValueError: supervised training without edges.
     """
 
     def __init__(self, model: NriModel, train: NriData):
         self.model, self.config = model, model.config
-        model.check_features(train.features)
         if self.config.supervised and train.edges is None:
             raise ValueError(f'{train.source}: has no true edges, so training cannot be supervised')
         n_run, n_node, n_frame, n_feature = train.features.shape
@@ -117,13 +116,12 @@ class Trainer:
         The same losses with the same prior as in training; edges are sampled with a fixed seed.
 
         Args:
-          data: a split.
+          data: a split, which fits the model.
 
         Returns:
           'loss' ..., 'usage', 'entropy', 'status' of `losses.edge_usage`, and 'accuracy', 'naming'
           of `losses.edge_accuracy`.
         """
-        self.model.check_features(data.features)
         config = self.config
         windows = data.features[:, :, : config.span : config.stride]
         totals: dict[str, float] = {}
