@@ -124,7 +124,7 @@ def filled(path: str, make: Callable, named: Callable[[Any], dict] = weights_of)
 
     Raises:
       FileNotFoundError, ValueError: no weights there, weights that are not finite, or that have
-        other names or shapes than the model's.
+        other names, shapes or kinds of numbers than the model's.
     """
     weights_path = os.path.join(path, WEIGHTS_FILE)
     if not os.path.isfile(weights_path):
@@ -133,12 +133,16 @@ def filled(path: str, make: Callable, named: Callable[[Any], dict] = weights_of)
         )
     stored = files.read_npz(weights_path)
     for name, value in stored.items():
-        if value.dtype.kind != 'f' or not np.isfinite(value).all():
+        # Integers too: batch normalisations count their steps.
+        if value.dtype.kind not in 'fi' or not np.isfinite(value).all():
             raise ValueError(f'{weights_path}: {name} is not finite ({value.dtype})')
     with known_shapes.only((value.shape for value in stored.values()), weights_path):
         model = make()
     variables = named(model)
-    found, wanted = ({n: tuple(v.shape) for n, v in x.items()} for x in (stored, variables))
+    found = {n: (v.shape, v.dtype.kind) for n, v in stored.items()}
+    wanted = {
+        n: (tuple(v.shape), 'f' if v.dtype.is_floating else 'i') for n, v in variables.items()
+    }
     if differing := sorted(n for n in found | wanted if found.get(n) != wanted.get(n)):
         raise ValueError(
             f'{weights_path}: not the weights of {CONFIG_FILE} beside it; differing: '

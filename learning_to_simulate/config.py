@@ -33,7 +33,8 @@ class Settings:
             kinds = (int, float) if kind is float else kind
             is_truth = isinstance(value, bool)
             if not isinstance(value, kinds) or is_truth != (kind is bool):
-                raise ValueError(f'{field.name} is {value!r}, must be of type {kind.__name__}')
+                name = getattr(kind, '__name__', kind)
+                raise ValueError(f'{field.name} is {value!r}, must be of type {name}')
             low, high = field.metadata.get('range', (-LARGEST, LARGEST))
             if kind in (int, float) and not low <= value <= high:  # false for NaN as well
                 raise ValueError(

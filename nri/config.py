@@ -5,17 +5,12 @@ import math
 
 import numpy as np
 
-# Below it the softmax saturates in float32 and the gradient vanishes.
+from learning_to_simulate.config import Settings, number
+
+# Below it the softmax saturates in float32 and the gradient of the sample vanishes.
 MIN_TEMPERATURE = 0.05
-_LARGEST = 2**31 - 1
+_INT32, _POSITIVE = 2**31 - 1, 1e-30
 MAX_NODES = 300
-# Field -> its least and largest value; the largest are beyond any graph of the project, so that a
-# damaged number does not ask for its memory.
-_RANGES = {
-    'edge_types': (2, 100), 'hidden': (1, 4096), 'window': (2, 10_000), 'stride': (1, 10_000),
-    'decay_start': (0, _LARGEST), 'batch_size': (1, 100_000), 'modes': (0, MAX_NODES),
-    'seed': (0, 2**28 - 1),  # eight random streams per seed in int32
-}  # fmt: skip
 
 
 def log_prior(n_types: int, no_edge_prior: float | None) -> np.ndarray:
@@ -33,7 +28,7 @@ def log_prior(n_types: int, no_edge_prior: float | None) -> np.ndarray:
 
 
 @dataclasses.dataclass(frozen=True)
-class NriConfig:
+class NriConfig(Settings):
     """Every setting of a model and its training. Defaults: Kipf et al. 2018 and the thesis.
 
     Attributes:
@@ -61,45 +56,27 @@ class NriConfig:
 
     skip_first: bool = True
     symmetric: bool = False
-    edge_types: int = 2
-    hidden: int = 256
-    window: int = 49
-    stride: int = 1
-    segment: int = 10
-    temperature: float = 0.5
+    edge_types: int = number(2, 2, 100)
+    hidden: int = number(256, 1, 4096)
+    window: int = number(49, 2, 10_000)
+    stride: int = number(1, 1, 10_000)
+    segment: int = number(10, 1)
+    temperature: float = number(0.5, MIN_TEMPERATURE)
     no_edge_prior: float | None = None
-    output_variance: float = 5e-5
-    learning_rate: float = 5e-4
-    decay: float = 0.5
-    decay_epochs: int = 50
-    decay_start: int = 50
-    epochs: int = 200
-    batch_size: int = 128
-    seed: int = 0
+    output_variance: float = number(5e-5, _POSITIVE)
+    learning_rate: float = number(5e-4, _POSITIVE)
+    decay: float = number(0.5, _POSITIVE)
+    decay_epochs: int = number(50, 1, _INT32)
+    decay_start: int = number(50, 0, _INT32)
+    epochs: int = number(200, 1, _INT32)
+    batch_size: int = number(128, 1, 100_000)
+    seed: int = number(0, 0, 2**28 - 1)  # eight random streams per seed in int32
     supervised: bool = False
     nodes: str = 'modes'
-    modes: int = 0
+    modes: int = number(0, 0, MAX_NODES)
 
-    def __post_init__(self):
-        for field in dataclasses.fields(self):
-            name, value = field.name, getattr(self, field.name)
-            if field.type is int:
-                low, high = _RANGES.get(name, (1, _LARGEST))
-                if type(value) is not int or not low <= value <= high:
-                    raise ValueError(
-                        f'{name} is {value!r}, must be at least {low} and at most {high}'
-                    )
-            if field.type is float and not (
-                isinstance(value, (int, float)) and np.isfinite(value) and value > 0
-            ):
-                raise ValueError(f'{name} is {value!r}, must be positive and finite')
-            if field.type is bool and type(value) is not bool:
-                raise ValueError(f'{name} is {value!r}, must be true or false')
-        if self.temperature < MIN_TEMPERATURE:
-            raise ValueError(
-                f'temperature is {self.temperature}, must be at least {MIN_TEMPERATURE}: below it '
-                f'the gradient of the sample vanishes'
-            )
+    def rules(self):
+        """Raises for a prior that is no probability and a segment longer than the window."""
         log_prior(self.edge_types, self.no_edge_prior)
         if self.segment >= self.window:
             raise ValueError(

@@ -22,10 +22,9 @@ class NriData:
     """One split.
 
     Attributes:
-      features: float32 [S, V, T, F], in the units of the files.
+      features: float32 [S, V, T, F], in the units of the files: positions, then velocities.
       edges: int32 [S, V (V - 1)] true edge types in Kipf's order, or None.
       node_names: V names.
-      feature_groups: features that share one scale, such as ((0, 1), (2, 3)) for loc and vel.
       same_scale: whether all nodes share one scale; not so for modes.
       digest: sha256 over the files that were read.
       source: folder and split, for messages.
@@ -34,7 +33,6 @@ class NriData:
     features: np.ndarray
     edges: np.ndarray | None
     node_names: tuple[str, ...]
-    feature_groups: tuple[tuple[int, ...], ...]
     same_scale: bool
     digest: str
     source: str
@@ -109,7 +107,6 @@ def _load_subspace(path, split, nodes, modes):
         features.astype(np.float32),
         None,
         tuple(f'rigid_{i}' for i in range(n_rigid)) + tuple(f'mode_{k}' for k in range(n_modes)),
-        ((0, 1, 2), (3, 4, 5)),
         False,
         _digest(os.path.join(path, n) for n in names),
         f'{path}: {split}',
@@ -129,6 +126,16 @@ def _read_array(path, n_axes):
     if bad:
         raise ValueError(f'{path}: holds {bad} NaN, infinite or too large values')
     return array
+
+
+def write_array(path: str, array: np.ndarray) -> None:
+    """Writes a .npy file, whole or not at all."""
+
+    def write(temporary):
+        with open(temporary, 'wb') as file:  # by handle: numpy appends .npy to a name
+            np.save(file, array)
+
+    files.write_atomically(path, write)
 
 
 def _load_kipf(path, split):
@@ -153,7 +160,6 @@ def _load_kipf(path, split):
             f'they are not of the same runs'
         )
     features = np.concatenate([position, velocity], axis=2).transpose(0, 3, 1, 2)
-    dim = position.shape[2]
     n_run, n_node = features.shape[:2]
     relations = _read_array(names['edges'], 3)
     if relations.shape != (n_run, n_node, n_node):
@@ -165,7 +171,6 @@ def _load_kipf(path, split):
         np.ascontiguousarray(features, np.float32),
         edge_types(relations, names['edges']),
         tuple(f'node_{i}' for i in range(n_node)),
-        (tuple(range(dim)), tuple(range(dim, 2 * dim))),
         True,
         _digest(names.values()),
         f'{path}: {split}',
@@ -196,22 +201,20 @@ def edge_types(relations: np.ndarray, source: str = 'relations') -> np.ndarray:
 def normalization(data: NriData) -> tuple[np.ndarray, np.ndarray]:
     """Offset and scale that take the features of a split to [-1, 1] (Kipf et al. 2018).
 
-    One scale per group of features (all axes of a position share it: a still axis is not blown
+    One scale for positions and one for velocities (all axes share it: a still axis is not blown
     up), over all nodes, or for each node where their scales differ.
 
     Returns:
       offset, scale: float32 [1 or V, F]; normalised = (features - offset) / scale.
     """
-    features = data.features.astype(np.float64)
-    axes = (0, 1, 2) if data.same_scale else (0, 2)
-    low, high = features.min(axis=axes), features.max(axis=axes)
-    low, high = np.atleast_2d(low), np.atleast_2d(high)
-    offset, scale = np.empty_like(low), np.empty_like(low)
-    for group in map(list, data.feature_groups):
-        if data.same_scale:
-            low[:, group] = low[:, group].min(axis=1, keepdims=True)
-            high[:, group] = high[:, group].max(axis=1, keepdims=True)
-        offset[:, group] = 0.5 * (low[:, group] + high[:, group])
-        half = 0.5 * (high[:, group] - low[:, group]).max(axis=1, keepdims=True)
-        scale[:, group] = np.where(half > 0, half, 1.0)
-    return offset.astype(np.float32), scale.astype(np.float32)
+    n_run, n_node, n_frame, n_feature = data.features.shape
+    halves = data.features.astype(np.float64).reshape(n_run, n_node, n_frame, 2, n_feature // 2)
+    axes = (0, 1, 2, 4) if data.same_scale else (0, 2)
+    low, high = halves.min(axis=axes, keepdims=True), halves.max(axis=axes, keepdims=True)
+    half = 0.5 * (high - low).max(axis=4, keepdims=True)
+    shape = (1 if data.same_scale else n_node, 2, n_feature // 2)
+    offset, scale = (
+        np.broadcast_to(x[0, :, 0], shape).reshape(-1, n_feature).astype(np.float32)
+        for x in (0.5 * (low + high), np.where(half > 0, half, 1.0))
+    )
+    return offset, scale

@@ -19,6 +19,7 @@ given: it says that the encoder collapsed, not what the soil does.
 
 import dataclasses
 import os
+import re
 
 import numpy as np
 from absl import flags
@@ -27,7 +28,6 @@ from learning_to_simulate import command, connectivity_utils
 from learning_to_simulate.scene import Scene
 from learning_to_simulate.subspace import edge_lists
 from nri import data as nri_data
-from nri import edge_picture
 from pca_tools import dataset, files
 
 MASK_FILE, PICTURE_FILE = 'edges.npy', 'edges.png'
@@ -77,17 +77,15 @@ def find_edges(
     model_path: str,
     data_path: str,
     *,
-    split: str = 'train',
     threshold: float = 0.6,
     keep: int | None = None,
     allow_degenerate: bool = False,
 ) -> edge_lists.EdgeList:
-    """The edge list of an NRI model on a split.
+    """The edge list of an NRI model, by its posterior on the training runs.
 
     Args:
       model_path: folder of the model.
       data_path: the data it was trained on.
-      split: runs that the posterior is averaged over.
       threshold: edges have a probability above it.
       keep: instead, the number of most probable edges to keep.
       allow_degenerate: whether an empty or saturated graph is a result.
@@ -99,13 +97,11 @@ def find_edges(
     from nri.model import load_model  # loads TensorFlow; help does not wait for it
 
     model = load_model(model_path)
-    nodes = (model.config.nodes, model.config.modes)
-    data = nri_data.load(data_path, split, *nodes)
-    trained_on = nri_data.load(data_path, 'train', *nodes).digest
-    if trained_on != model.data_digest:
+    data = nri_data.load(data_path, 'train', model.config.nodes, model.config.modes)
+    if data.digest != model.data_digest:
         raise ValueError(
             f'{model_path} was trained on other data (sha256 {model.data_digest[:12]}...) than '
-            f'{data_path} (sha256 {trained_on[:12]}...)'
+            f'{data_path} (sha256 {data.digest[:12]}...)'
         )
     if not model.config.skip_first:
         raise ValueError(f'{model_path} was trained without skip_first: no type means "no edge"')
@@ -123,13 +119,13 @@ def find_edges(
         )
     return edge_lists.EdgeList(
         mask=mask,
-        node_names=tuple(data.node_names),
+        node_names=data.node_names,
         probabilities=probabilities,
         method='nri',
         threshold=wish.get('threshold'),
-        digests={'model': model.digest, 'data': trained_on, **edge_lists.data_digests(data_path)},
+        digests={'model': model.digest, 'data': data.digest, **edge_lists.data_digests(data_path)},
         degenerate=found,
-        report=spread(posterior, threshold) | {'split': split},
+        report=spread(posterior, threshold) | {'split': 'train'},
     )
 
 
@@ -159,21 +155,79 @@ def export(edges: edge_lists.EdgeList, data_path: str, output_path: str) -> list
     os.makedirs(output_path, exist_ok=True)
     names = [os.path.join(output_path, n) for n in (edge_lists.FILE_NAME, MASK_FILE, PICTURE_FILE)]
     edge_lists.write(names[0], edges)
-
-    def write_mask(temporary):
-        with open(temporary, 'wb') as file:
-            np.save(file, edges.mask)
-
-    files.write_atomically(names[1], write_mask)
-    edge_picture.draw(names[2], edges, completed(edges, data_path))
+    nri_data.write_array(names[1], edges.mask)
+    draw(names[2], edges, completed(edges, data_path))
     return names
+
+
+def draw(path: str, edges, whole=None) -> None:
+    """Draws probabilities, kept edges and, where given, the graph that Algorithm 2 makes of them,
+    senders x receivers, as in figures 3.5 to 3.7 of Usmani 2023.
+
+    Args:
+      path: PNG file.
+      edges: `EdgeList`.
+      whole: (`Adjacency`, node names) of the whole graph, or None.
+
+    Raises:
+      ValueError: matplotlib is missing.
+    """
+    panels = [
+        ('probability', edges.probabilities, edges.node_names),
+        (f'{edges.n_edge} edges ({edges.method})', edges.mask.astype(float), edges.node_names),
+    ]
+    if whole:
+        adjacency, names = whole
+        panels.append((f'Algorithm 2: {adjacency.n_edge} edges', adjacency.mask() * 1.0, names))
+    figure, images = show_matrices(panels)
+    bar = figure.colorbar(images[0], ax=images[0].axes, shrink=0.75)
+    if edges.threshold is not None:
+        bar.ax.axhline(edges.threshold, color='red')
+    save(path, figure)
+
+
+def show_matrices(panels):
+    """A figure of (title, matrix [receiver, sender], node names) side by side; rows are senders,
+    columns receivers. Returns it and its images.
+
+    Raises:
+      ValueError: matplotlib is missing; it is an optional part of the installation.
+    """
+    try:
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise ValueError(
+            'pictures need matplotlib: pip install -c constraints.txt -e .[viz]'
+        ) from error
+    figure, images = Figure(figsize=(4.2 * len(panels), 4.7), layout='constrained'), []
+    for axis, (title, matrix, names) in zip(figure.subplots(1, len(panels)), panels):
+        images.append(axis.imshow(np.asarray(matrix).T, cmap='gray_r', vmin=0, vmax=1))
+        axis.set_facecolor('#cfe3f5')  # where the method has no probability
+        labels = [re.sub('mode_(.*)', lambda m: str(int(m[1]) + 1), n) for n in names]
+        rigid = sum(not n.startswith('mode_') for n in names)
+        ticks = list(range(len(names)))
+        if 0 < rigid < len(names):
+            # Four blocks: body and modes, as senders and as receivers.
+            axis.axhline(rigid - 0.5, color='tab:red', lw=1)
+            axis.axvline(rigid - 0.5, color='tab:red', lw=1)
+            ticks = [(rigid - 1) / 2, rigid + (len(names) - rigid - 1) / 2]
+            labels = ['body', 'modes']
+        axis.set_xticks(ticks, labels, fontsize=8)
+        axis.set_yticks(ticks, labels, fontsize=8)
+        axis.set(xlabel='receiver', ylabel='sender')
+        axis.set_title(title, fontsize=10)
+    return figure, images
+
+
+def save(path: str, figure) -> None:
+    """Writes a figure as PNG, whole or not at all."""
+    files.write_atomically(path, lambda name: figure.savefig(name, format='png', dpi=110))
 
 
 def define_flags():
     flags.DEFINE_string('model_path', None, 'Folder of the NRI model.', required=True)
     flags.DEFINE_string('data_path', None, 'The data it was trained on.', required=True)
     flags.DEFINE_string('output_path', None, 'Folder for the three files.', required=True)
-    flags.DEFINE_enum('split', 'train', dataset.SPLITS, 'Runs to average over.')
     flags.DEFINE_float('threshold', 0.6, 'Edges have a probability above it.', 0.0, 1.0)
     flags.DEFINE_integer('keep', None, 'Instead: number of edges, the most probable ones.', 0)
     flags.DEFINE_bool('allow_degenerate', False, 'Export an empty or saturated graph too.')
@@ -181,9 +235,10 @@ def define_flags():
 
 def main(v):
     command.import_tensorflow()
-    options = 'split', 'threshold', 'keep', 'allow_degenerate'
-    given = {name: getattr(v, name) for name in options}
-    edges = find_edges(v.model_path, v.data_path, **given)
+    edges = find_edges(
+        v.model_path, v.data_path, threshold=v.threshold, keep=v.keep,
+        allow_degenerate=v.allow_degenerate,
+    )  # fmt: skip
     names = export(edges, v.data_path, v.output_path)
     r = edges.report
     print(

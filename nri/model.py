@@ -11,13 +11,13 @@ import numpy as np
 import sonnet as snt
 import tensorflow as tf
 
-from learning_to_simulate import known_shapes
+from learning_to_simulate import checkpoints
+from learning_to_simulate.checkpoints import CONFIG_FILE, WEIGHTS_FILE
 from nri import losses, networks
 from nri.config import MAX_NODES, NriConfig, log_prior
 from nri.networks import Decoder, Encoder, unroll
 from pca_tools import files
 
-CONFIG_FILE, WEIGHTS_FILE = 'config.json', 'weights.npz'
 SCHEMA_VERSION = 1
 MAX_FEATURES = 100
 BATCH = 500  # windows at a time
@@ -194,36 +194,17 @@ class NriModel(snt.Module):
             )
 
     def save(self, path: str) -> None:
-        """Writes config.json and weights.npz.
-
-        Raises:
-          ValueError: weights that are not finite; nothing is written then.
-        """
-        weights = {name: v.numpy() for name, v in self._weights().items()}
-        if bad := [n for n, w in weights.items() if not np.isfinite(w).all()]:
-            raise ValueError(f'{path}: not saved, weights are not finite: {bad[:3]}')
+        """Writes config.json and weights.npz; ValueError for weights that are not finite: nothing
+        is written then."""
         os.makedirs(path, exist_ok=True)
+        checkpoints.save_weights(path, self._weights())
         files.write_json(os.path.join(path, CONFIG_FILE), self.to_json())
-        files.write_npz(os.path.join(path, WEIGHTS_FILE), **weights)
         self.digest = files.sha256_of_file(os.path.join(path, WEIGHTS_FILE))
 
     def load_weights(self, path: str) -> None:
-        """Reads weights.npz of a folder.
-
-        Raises:
-          ValueError: weights of another model, or that are not finite.
-        """
-        name, stored = _stored_weights(path)
-        variables = self._weights()
-        wanted = {n: tuple(v.shape) for n, v in variables.items()}
-        found = {n: w.shape for n, w in stored.items()}
-        if differing := sorted({n for n, _ in wanted.items() ^ found.items()}):
-            raise ValueError(
-                f'{name}: not the weights of {CONFIG_FILE}; differing: {differing[:4]}'
-            )
-        for key, variable in variables.items():
-            variable.assign(stored[key])
-        self.digest = files.sha256_of_file(name)
+        """Reads weights.npz of a folder; raises as `checkpoints.filled`."""
+        checkpoints.filled(path, lambda: self, NriModel._weights)
+        self.digest = files.sha256_of_file(os.path.join(path, WEIGHTS_FILE))
 
     def _weights(self):
         """Variables by names that do not change between processes."""
@@ -243,18 +224,15 @@ class NriModel(snt.Module):
 
 
 def load_model(path: str) -> NriModel:
-    """Loads a saved model.
+    """Loads a saved model, of which nothing is built that its weights do not hold.
 
     Raises:
       FileNotFoundError: no model there.
       ValueError: a damaged or foreign config, or weights that do not belong to it.
     """
-    for name in (CONFIG_FILE, WEIGHTS_FILE):
-        if not os.path.isfile(os.path.join(path, name)):
-            raise FileNotFoundError(
-                f'{os.path.join(path, name)}: no such file; train a model with nri.train'
-            )
     name = os.path.join(path, CONFIG_FILE)
+    if not os.path.isfile(name):
+        raise FileNotFoundError(f'{name}: no such file; train a model with nri.train')
     values = files.read_json(name)
     if not isinstance(values, dict) or values.get('kind') != 'nri':
         raise ValueError(f'{name}: not the config of an NRI model')
@@ -262,25 +240,13 @@ def load_model(path: str) -> NriModel:
         raise ValueError(
             f'{name}: schema version {values.get("schema_version")}, {SCHEMA_VERSION} expected'
         )
-    weights, stored = _stored_weights(path)
-    try:
-        # What a damaged config asks for is not built unless the weights have its shapes.
-        with known_shapes.only((w.shape for w in stored.values()), weights):
+
+    def make():
+        with checkpoints.refusing_wrong_fields(path):
             config = NriConfig(**values['config'])
             keys = 'node_names', 'offset', 'scale', 'data_digest'
-            model = NriModel(config, *(values[key] for key in keys))
-    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
-        raise ValueError(f'{name}: a field is missing, unknown or wrong ({error})') from error
-    model.load_weights(path)
+            return NriModel(config, *(values[key] for key in keys))
+
+    model = checkpoints.filled(path, make, NriModel._weights)
+    model.digest = files.sha256_of_file(os.path.join(path, WEIGHTS_FILE))
     return model
-
-
-def _stored_weights(path):
-    """weights.npz, and its finite arrays, whatever they are of."""
-    name = os.path.join(path, WEIGHTS_FILE)
-    stored = files.read_npz(name)
-    # Integers too: the batch normalisations count their steps.
-    bad = [n for n, w in stored.items() if w.dtype.kind not in 'fiu' or not np.isfinite(w).all()]
-    if bad:
-        raise ValueError(f'{name}: weights are not finite: {bad[:3]}')
-    return name, stored

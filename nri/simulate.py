@@ -1,4 +1,8 @@
-"""Makes the springs and charged data of Kipf et al. 2018 as `.npy` files.
+"""Makes the springs and charged particles of Kipf et al. 2018 (appendix B) as `.npy` files.
+
+All simulations of a batch advance together, in float64. They move in a box with elastic walls and
+are integrated by the leapfrog, which is stable up to omega dt = 2. A time step above the limit is
+refused before anything is simulated.
 
 Examples:
   python -m nri.simulate --system=springs --n_objects=5 --output_path=/tmp/springs5
@@ -9,6 +13,7 @@ and (S, V, V). T = length / sample_freq - 1, as Kipf's.
 """
 
 import dataclasses
+import math
 import os
 import time
 
@@ -17,12 +22,166 @@ import tqdm
 from absl import flags
 
 from learning_to_simulate import command
-from nri import particle_systems
+from nri.data import write_array
 from pca_tools import files
 
+LEAPFROG_LIMIT = 2.0  # of omega dt
 SPLITS = ('train', 'valid', 'test')
 # Runs that advance together: their pair arrays stay in the processor's cache.
 CHUNK = 500
+
+
+@dataclasses.dataclass(frozen=True)
+class _System:
+    """Objects of unit mass in a box.
+
+    Attributes:
+      n_objects: V.
+      dt: time step.
+      interaction_strength: k.
+      box_size: half the side of the box; walls at +-box_size.
+      position_std, speed: of the initial state.
+
+    Raises:
+      ValueError: a value that is not positive, or omega dt >= 2.
+    """
+
+    n_objects: int = 5
+    dt: float = 0.001
+    interaction_strength: float = 0.1
+    box_size: float = 5.0
+    position_std: float = 0.5
+    speed: float = 0.5
+
+    def __post_init__(self):
+        for name, value in dataclasses.asdict(self).items():
+            if not (np.isfinite(value) and value > 0):
+                raise ValueError(f'{name} is {value}, must be positive and finite')
+        if self.n_objects < 2:
+            raise ValueError(f'n_objects is {self.n_objects}, a relation needs at least 2')
+        omega, formula = self.highest_frequency()
+        if not omega * self.dt < LEAPFROG_LIMIT:
+            raise ValueError(
+                f'time step {self.dt:.4g} is unstable: highest frequency {formula} = {omega:.4g}, '
+                f'times dt = {omega * self.dt:.4g}, must be below {LEAPFROG_LIMIT}; largest stable '
+                f'step {LEAPFROG_LIMIT / omega:.4g}'
+            )
+
+    def highest_frequency(self) -> tuple[float, str]:
+        """A bound of omega, and its formula."""
+        raise NotImplementedError
+
+
+class Springs(_System):
+    """Each pair is joined by an ideal spring of constant k and length zero, or by nothing."""
+
+    def highest_frequency(self):
+        """The Laplacian of a graph of V nodes has no eigenvalue above V."""
+        return math.sqrt(self.interaction_strength * self.n_objects), 'sqrt(k V)'
+
+    def relations(self, rng, n_run):
+        """[S, V, V], 1 where a spring joins two objects: every other pair."""
+        upper = np.triu(rng.integers(0, 2, (n_run, self.n_objects, self.n_objects)), 1)
+        return (upper + upper.transpose(0, 2, 1)).astype(np.float64)
+
+    def acceleration(self, position, relations):
+        """[S, V, D] from [S, V, D] and [S, V, V]."""
+        laplacian = relations - np.eye(self.n_objects) * relations.sum(-1, keepdims=True)
+        return self.interaction_strength * (laplacian @ position)
+
+
+@dataclasses.dataclass(frozen=True)
+class Charged(_System):
+    """Charges +1 or -1; like charges repel, unlike attract, by a force k q_i q_j / r².
+
+    Inside `core_radius` the force falls linearly to zero, so that it stays finite and conserves
+    energy (Kipf et al. cut each component of the force off instead).
+    """
+
+    interaction_strength: float = 1.0
+    position_std: float = 1.0
+    core_radius: float = 0.1
+
+    def highest_frequency(self):
+        """omega² <= 2 k V / core³."""
+        square = 2.0 * self.interaction_strength * self.n_objects / self.core_radius**3
+        return math.sqrt(square), 'sqrt(2 k V / core^3)'
+
+    def relations(self, rng, n_run):
+        """[S, V, V], product of two objects' charges: 1 repels, -1 attracts."""
+        charge = rng.choice([-1.0, 1.0], (n_run, self.n_objects))
+        return charge[:, :, None] * charge[:, None]
+
+    def acceleration(self, position, relations):
+        """[S, V, D] from [S, V, D] and [S, V, V]."""
+        away = position[:, :, None] - position[:, None]
+        square = np.maximum((away**2).sum(-1), self.core_radius**2)
+        size = self.interaction_strength * relations / (square * np.sqrt(square))
+        return (size[..., None] * away).sum(2)
+
+
+SYSTEMS = {'springs': Springs, 'charged': Charged}
+
+
+def reflect(position, velocity, box_size):
+    """Elastic walls: what is beyond +-box_size comes back; in place.
+
+    Raises:
+      ValueError: if an object went beyond a wall by more than the box is wide.
+    """
+    beyond = np.abs(position) > box_size
+    if not beyond.any():
+        return
+    side = np.sign(position[beyond])
+    position[beyond] = 2.0 * side * box_size - position[beyond]
+    velocity[beyond] = -side * np.abs(velocity[beyond])
+    if np.abs(position).max() > box_size:
+        raise ValueError(
+            f'an object left the box of half side {box_size} by more than its width in one step; '
+            f'take a smaller dt'
+        )
+
+
+def leapfrog(system, position, velocity, relations, n_steps, sample_every):
+    """Integrates Newton's equations; positions and velocities belong to the same instant.
+
+    Args:
+      system: `Springs` or `Charged`.
+      position, velocity: [S, V, D] at time 0.
+      relations: [S, V, V].
+      n_steps: steps of dt.
+      sample_every: steps between frames; the first frame is at sample_every dt.
+
+    Returns:
+      positions, velocities: [S, n_steps // sample_every, V, D].
+    """
+    position, velocity = position.copy(), velocity.copy()
+    acceleration = system.acceleration(position, relations)
+    positions, velocities = [], []
+    for step in range(1, n_steps + 1):
+        velocity += 0.5 * system.dt * acceleration
+        position += system.dt * velocity
+        reflect(position, velocity, system.box_size)
+        acceleration = system.acceleration(position, relations)
+        velocity += 0.5 * system.dt * acceleration
+        if step % sample_every == 0:
+            positions.append(position.copy())
+            velocities.append(velocity.copy())
+    return np.stack(positions, 1), np.stack(velocities, 1)
+
+
+def simulate_particles(system, n_run, n_steps, sample_every, rng):
+    """Draws initial states and relations of `Springs` or `Charged` and simulates them.
+
+    Returns:
+      positions, velocities: [S, T, V, 2]; relations: [S, V, V].
+    """
+    relations = system.relations(rng, n_run)
+    shape = (n_run, system.n_objects, 2)
+    position = rng.normal(0.0, system.position_std, shape).clip(-system.box_size, system.box_size)
+    velocity = rng.normal(size=shape)
+    velocity *= system.speed / np.linalg.norm(velocity, axis=-1, keepdims=True)
+    return (*leapfrog(system, position, velocity, relations, n_steps, sample_every), relations)
 
 
 def simulate_split(system, n_run, n_steps, sample_every, seed, split, progress=None):
@@ -30,7 +189,7 @@ def simulate_split(system, n_run, n_steps, sample_every, seed, split, progress=N
     shapes in the module docstring.
 
     Args:
-      system: one of `particle_systems.SYSTEMS`.
+      system: one of `SYSTEMS`.
       n_run: S.
       n_steps: simulated steps; the last frame is left out, as in Kipf's files.
       sample_every: steps between frames.
@@ -42,7 +201,7 @@ def simulate_split(system, n_run, n_steps, sample_every, seed, split, progress=N
         key = [seed, SPLITS.index(split), index]
         rng = np.random.Generator(np.random.Philox(np.random.SeedSequence(key)))
         count = min(CHUNK, n_run - start)
-        position, velocity, relations = particle_systems.simulate_particles(
+        position, velocity, relations = simulate_particles(
             system, count, n_steps - sample_every, sample_every, rng
         )
         loc, vel = (x.transpose(0, 1, 3, 2) for x in (position, velocity))
@@ -58,7 +217,7 @@ def write_dataset(system, name, counts, n_steps, sample_every, seed, output_path
 
     Args:
       system: the system.
-      name: its name, one of `particle_systems.SYSTEMS`.
+      name: its name, one of `SYSTEMS`.
       counts: {split: S}.
       n_steps, sample_every, seed: see `simulate_split`.
       output_path: folder; made if missing.
@@ -84,19 +243,14 @@ def write_dataset(system, name, counts, n_steps, sample_every, seed, output_path
             arrays = simulate_split(system, n_run, n_steps, sample_every, seed, split, bar.update)
             for prefix, array in arrays.items():
                 path = os.path.join(output_path, f'{prefix}_{split}_{suffix}.npy')
-                files.write_atomically(path, lambda temporary, a=array: _save(temporary, a))
+                write_array(path, array)
     settings = {'runs': counts, 'length': n_steps, 'sample_freq': sample_every, 'seed': seed}
     path = os.path.join(output_path, f'simulation_{suffix}.json')
     files.write_json(path, {'system': name, **dataclasses.asdict(system), **settings})
 
 
-def _save(path, array):
-    with open(path, 'wb') as file:
-        np.save(file, array)
-
-
 def define_flags():
-    flags.DEFINE_enum('system', 'springs', sorted(particle_systems.SYSTEMS), 'What to simulate.')
+    flags.DEFINE_enum('system', 'springs', sorted(SYSTEMS), 'What to simulate.')
     flags.DEFINE_integer('n_objects', 5, 'V, number of objects.')
     for split, count in (('train', 50000), ('valid', 10000), ('test', 10000)):
         flags.DEFINE_integer(f'num_{split}', count, f'Runs of the {split} split.')
@@ -110,7 +264,7 @@ def define_flags():
 def main(given):
     started = time.time()
     counts = {split: getattr(given, f'num_{split}') for split in SPLITS}
-    system = particle_systems.SYSTEMS[given.system](given.n_objects, given.dt)
+    system = SYSTEMS[given.system](given.n_objects, given.dt)
     how = given.length, given.sample_freq, given.seed
     write_dataset(system, given.system, counts, *how, given.output_path)
     print(

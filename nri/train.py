@@ -55,10 +55,10 @@ def main(given):
     command.import_tensorflow()  # here, so that neither help nor a refusal waits for it
     import tensorflow as tf
 
-    from nri import experiment
+    from nri import training
 
     try:
-        experiment.train(given.data_path, given.model_path, config)
+        training.train(given.data_path, given.model_path, config)
     except tf.errors.OpError as error:
         raise ValueError(str(error)) from error
 

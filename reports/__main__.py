@@ -5,12 +5,17 @@ python -m reports protocol --help                  # what one does, its flags, e
 python -m reports explain --model_path=models/wheel/pcg --data_path=datasets/wheel
 """
 
-import runpy
+import importlib
 import sys
 
-# Name -> module, and what it answers.
+from absl import flags
+
+from learning_to_simulate import command
+
+# Name -> module, and what it answers. A module has `define_flags`, `main`, and as docstring the
+# text of its help.
 REPORTS = {
-    'protocol': ('protocol', 'methods judged run by run, against baselines and the truth'),
+    'protocol': ('protocol.report', 'methods judged run by run, against baselines and the truth'),
     'times': ('times', 'error against run time: table, picture'),
     'machines': ('machines', 'recorded machines in MuJoCo against the solver; stability, speed'),
     'stability': ('stability', 'extreme cases: what holds, is flagged, is refused'),
@@ -22,28 +27,37 @@ REPORTS = {
     'nri_stability': ('edges.nri_stability', 'how far seeds of NRI agree'),
     'documents': ('documents', 'tables of the documents, again from their JSON'),
 }
-
-
-def run(name: str) -> None:
-    """Runs the report `name` as the main program, with the flags in `sys.argv`."""
-    runpy.run_module(f'reports.{REPORTS[name][0]}', run_name='__main__', alter_sys=True)
+# Whose times and bits are those of one thread of TensorFlow.
+ON_ONE_THREAD = 'times', 'stability', 'beyond', 'explain'
 
 
 def main(arguments: list[str]) -> None:
-    """Runs `arguments[0]` with the flags that follow, or prints the list.
+    """Runs the report `arguments[0]` with the flags that follow, or prints the list.
 
     Raises:
         SystemExit: no report of that name.
     """
-    if not arguments or arguments[0] in ('-h', '--help', '--helpshort', '--helpfull'):
+    if not arguments or arguments[0] in command.HELP:
         print(__doc__)
         for name, (_, what) in REPORTS.items():
             print(f'  {name:18}{what}')
         return
-    if arguments[0] not in REPORTS:
-        sys.exit(f'error: no report {arguments[0]!r}; there are {", ".join(REPORTS)}')
-    sys.argv[1:] = arguments[1:]
-    run(arguments[0])
+    name, *rest = arguments
+    if name not in REPORTS:
+        sys.exit(f'error: no report {name!r}; there are {", ".join(REPORTS)}')
+    report = importlib.import_module(f'reports.{REPORTS[name][0]}')
+    sys.argv = [f'reports {name}', *rest]
+    report.define_flags()
+    # So that help is that of the report.
+    flags.adopt_module_key_flags(report)
+    sys.modules['__main__'].__doc__ = report.__doc__
+
+    def run(*given):
+        if name in ON_ONE_THREAD:
+            command.import_tensorflow(1)
+        return report.main(*given)
+
+    command.start(run, getattr(report, 'MOST_ARGUMENTS', 0))
 
 
 if __name__ == '__main__':

@@ -16,7 +16,7 @@ from absl import flags
 
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from pca_tools import dataset, files
-from reports import command, markdown, record
+from reports import markdown, record
 from reports.protocol import judge
 
 # Scene -> the datasets whose test runs are compared with.
@@ -84,7 +84,7 @@ def separations(path: str) -> str:
     return markdown.table(header, rows)
 
 
-def main(values, _) -> None:
+def main(values) -> None:
     found: dict = record.provenance(1)
     found['scenes'] = {scene: judged(scene) for scene in SCENES}
     files.write_json(values.output_path, found)
@@ -93,8 +93,3 @@ def main(values, _) -> None:
 
 def define_flags() -> None:
     flags.DEFINE_string('output_path', None, 'JSON file to write.', required=True)
-    flags.DEFINE_integer('num_threads', 1, 'Threads of TensorFlow.')
-
-
-if __name__ == '__main__':
-    command.start(define_flags, main)

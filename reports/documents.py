@@ -21,9 +21,10 @@ from collections import Counter
 
 from pca_tools import dataset, files
 from pca_tools.metadata import SPLITS
-from reports import command, markdown
+from reports import markdown
 from reports.record import ROOT
 
+MOST_ARGUMENTS = 1000  # names of documents
 NAMED = re.compile(r'<!-- table: ([\w.]+):(\w+)((?: [^\s>]+)*) -->\n((?:.+\n)*)')
 
 
@@ -71,6 +72,10 @@ def runs(*paths: str) -> str:
     return markdown.table(['dataset', *SPLITS, 'of each kind'], rows)
 
 
+def define_flags() -> None:
+    """It has none."""
+
+
 def main(_, arguments) -> None:
     for name in arguments or names():
         path = os.path.join(ROOT, name)
@@ -80,7 +85,3 @@ def main(_, arguments) -> None:
         if new != old:
             files.write_text(path, new)
             print(f'wrote {name}')
-
-
-if __name__ == '__main__':
-    command.start(lambda: None, main, n_argument=1000)

@@ -15,8 +15,7 @@ Examples:
     python -m reports documents docs/mujoco.md     # the tables again, from the JSON
 """
 
-import importlib.util
-import os
+import importlib
 import sys
 import time
 from typing import Any
@@ -25,7 +24,7 @@ import numpy as np
 from absl import flags
 
 from pca_tools import files
-from reports import command, markdown, record
+from reports import markdown, record
 
 SUBSTEPS = 16  # of a recorded frame
 # The spring ground: N/m, N s/m, friction.
@@ -256,10 +255,7 @@ def rest(field, mass: float, dt: float, implicit: bool) -> dict:
 def whole(name: str) -> dict:
     """An example from its first to its last step, at 1 kHz, after a first second that compiles:
     simulated seconds to seconds of one core, and the share of steps that were flagged."""
-    folder = os.path.join(record.ROOT, 'examples')
-    spec = importlib.util.spec_from_file_location(name, os.path.join(folder, f'{name}.py'))
-    module = importlib.util.module_from_spec(spec)  # type: ignore[arg-type]
-    spec.loader.exec_module(module)  # type: ignore[union-attr]
+    module = importlib.import_module(f'examples.{name}')
     module.main(seconds=1.0)
     clock = time.process_time()
     _, judgement, rows = module.main()
@@ -359,7 +355,7 @@ def define_flags() -> None:
     flags.DEFINE_string('output_path', None, 'Path of .json and .png, without it.', required=True)
 
 
-def main(values, _) -> None:
+def main(values) -> None:
     from learning_to_simulate.soil_field import evaluation, method, runs
 
     machines, fields = [], {name: method.load(path) for name, path in MODELS.items()}
@@ -390,7 +386,3 @@ def main(values, _) -> None:
     draw(path, f'{values.output_path}.png')
     for made in (table, coupling_table, stability_table, examples_table):
         print(made(path))
-
-
-if __name__ == '__main__':
-    command.start(define_flags, main)

@@ -4,10 +4,7 @@ from collections.abc import Iterable
 
 from pca_tools.storage.markdown import cell, table
 
-__all__ = ['TRIVIAL', 'cell', 'mean', 'span', 'table']
-
-# How tables and pictures name the predictors that know nothing, by their keys in metrics.json.
-TRIVIAL = {'stay_still': 'persistence', 'constant_velocity': 'constant velocity'}
+__all__ = ['cell', 'mean', 'span', 'table']
 
 
 def mean(values: Iterable[float | None]) -> str:

@@ -15,9 +15,7 @@ def provenance(threads: int | None = None) -> dict:
     Args:
       threads: CPU threads that TensorFlow was given; None where that decides nothing.
     """
-    name = os.path.basename(sys.argv[0]).removesuffix('.py')
-    module = getattr(sys.modules['__main__'], '__spec__', None)
-    command = ' '.join(['python -m', module.name if module else name, *sys.argv[1:]])
+    command = ' '.join(['python -m', *sys.argv])
     return {'command': command, 'commit': _commit(), 'machine': facts(threads)}
 
 

@@ -165,6 +165,11 @@ def table(path: str) -> str:
     return markdown.table(header, rows)
 
 
+def define_flags() -> None:
+    flags.DEFINE_string('output_path', None, 'JSON file to write.', required=True)
+    flags.DEFINE_list('fresh', [], 'Folders of datasets, three digs in one soil each.')
+
+
 def main(values) -> None:
     command.writable_folder(str(values.output_path.rpartition('/')[0] or '.'))
     command.import_tensorflow(1)
@@ -182,9 +187,3 @@ def main(values) -> None:
     files.write_json(values.output_path, made | {'fits': kept})
     for name, row in made['summary'].items():
         print(name, {k: round(v, 3) for k, v in row.items()})
-
-
-if __name__ == '__main__':
-    flags.DEFINE_string('output_path', None, 'JSON file to write.', required=True)
-    flags.DEFINE_list('fresh', [], 'Folders of datasets, three digs in one soil each.')
-    command.start(main)

@@ -23,7 +23,7 @@ from absl import flags
 
 from learning_to_simulate.command import named_paths
 from pca_tools import files
-from reports import command, markdown, record, times
+from reports import markdown, record, times
 
 GAIN, OFF = 0.01, 0.05  # energy over that of the fall, soil over the cut: more is wrong
 AGREE = 1e-3  # of the force (root mean square), by which C and Python may differ
@@ -82,8 +82,10 @@ CASES = (
     Case('falls 1 m', 'rest', load=1.0, height=1.0),
 )
 # Usual tools: way a second, depth, lean or slip, kg.
-BLADE = {'speed': 0.2, 'depth': 0.03, 'lean': 0.2, 'mass': 20.0}
-WHEEL = {'speed': 0.1, 'depth': 0.008, 'slip': 0.3, 'mass': 2.1}
+USUAL = {
+    'blade': {'speed': 0.2, 'depth': 0.03, 'lean': 0.2, 'mass': 20.0},
+    'wheel': {'speed': 0.1, 'depth': 0.008, 'slip': 0.3, 'mass': 2.1},
+}
 
 
 def tool_of(kind, case: Case):
@@ -104,7 +106,7 @@ def path_of(case: Case, tool) -> tuple[np.ndarray, float]:
     """
     from learning_to_simulate.live.poses import turned
 
-    usual = BLADE if tool.name == 'blade' else WHEEL
+    usual = USUAL[tool.name]
     s, way = case.scale, 0.2013 + case.length  # frames that no bin ends with
     count = int(np.ceil(way / usual['speed'] / case.dt)) + 1
     u = np.linspace(0, way, count)
@@ -158,7 +160,7 @@ def walked(case: Case, field, engine: str, most: int | None = None) -> dict:
             shift = np.array([0, 0, tool.width + 0.05 * s, 0, 0, 0, 0])
             other.start(path[0] + shift)
         if case.load:
-            mass = case.load * (BLADE if tool.name == 'blade' else WHEEL)['mass'] * s**3
+            mass = case.load * USUAL[tool.name]['mass'] * s**3
             loaded = LoadedTool(stepper, mass)
 
             def fall(pose, dt):
@@ -192,8 +194,7 @@ def judged(case: Case, c: dict, python: dict) -> dict:
     weight = soil.density * soil.gravity * tool.width * lowest**2
     row = {'case': case.name, 'frames': len(force), 'largest_N': _four(size)}
     if case.load:
-        usual = (BLADE if tool.name == 'blade' else WHEEL)['mass']
-        weight = case.load * usual * case.scale**3 * soil.gravity
+        weight = case.load * USUAL[tool.name]['mass'] * case.scale**3 * soil.gravity
         if case.height:
             fall = weight * case.height
             start = weight * (c['pose'][0, 1])
@@ -331,15 +332,14 @@ def define_flags() -> None:
     flags.DEFINE_string('data_path', None, 'Dataset whose run networks follow.', required=True)
     flags.DEFINE_multi_string('model', [], 'NAME=FOLDER of networks in a subspace, of a blade.')
     flags.DEFINE_string('output_path', None, 'JSON file to write.', required=True)
-    flags.DEFINE_integer('num_threads', 1, 'Threads of TensorFlow.', lower_bound=1)
 
 
-def main(values, _) -> int:
+def main(values) -> int:
     """Exit code 1 if something must not be as it is."""
     from learning_to_simulate.native.engines import TENSORFLOW, C
     from learning_to_simulate.soil_field import method
 
-    found: dict = {'schema_version': 1, **record.provenance(values.num_threads)}
+    found: dict = {'schema_version': 1, **record.provenance(1)}
     for tool, folder in (('blade', values.soil_field), ('wheel', values.wheel)):
         field = method.load(folder)
         found[tool] = [
@@ -353,7 +353,3 @@ def main(values, _) -> int:
     print(table(values.output_path))
     rows = [*found['blade'], *found['wheel'], *(r for of in found['models'].values() for r in of)]
     return int(any(row['wrong'] for row in rows))
-
-
-if __name__ == '__main__':
-    command.start(define_flags, main)

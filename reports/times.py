@@ -25,7 +25,7 @@ from absl import flags
 
 from learning_to_simulate.command import named_paths
 from pca_tools import dataset, files
-from reports import command, markdown, record, timing
+from reports import markdown, record, timing
 from reports.protocol import judge, tables
 
 SCHEMA_VERSION = 5
@@ -294,10 +294,9 @@ def define_flags() -> None:
     flags.DEFINE_multi_string('training_s', [], 'NAME=SECONDS of CPU that its training took.')
     flags.DEFINE_multi_string('budget_ms', [], 'Only picks, from the JSON that is there.')
     flags.DEFINE_string('output_path', None, 'Path of .json and .png, without it.', required=True)
-    flags.DEFINE_integer('num_threads', 1, 'Threads of TensorFlow.', lower_bound=1)
 
 
-def main(values, _) -> None:
+def main(values) -> None:
     path = f'{values.output_path}.json'
     if values.budget_ms:
         print(picked(path, *values.budget_ms))
@@ -315,7 +314,7 @@ def main(values, _) -> None:
     data = {name: values.data_path if name == SOIL_FIELD else first for name in trained}
     found = {
         'schema_version': SCHEMA_VERSION,
-        **record.provenance(values.num_threads),
+        **record.provenance(1),
         'solver_ms': solver_ms(first),
         'frame_s': dataset.read_metadata(first)['dt'],
         'training_s': {name: float(seconds) for name, seconds in trained.items()},
@@ -325,7 +324,3 @@ def main(values, _) -> None:
     files.write_json(path, found)
     draw(path, protocol, f'{values.output_path}.png')
     print(f'{table(path)}\n{break_even(path)}')
-
-
-if __name__ == '__main__':
-    command.start(define_flags, main)

@@ -21,10 +21,11 @@ import numpy as np
 import tqdm
 from absl import flags
 
+from learning_to_simulate import command
 from mpm import scenes
 from mpm.motions import catalogue
 from pca_tools import files
-from reports import command, markdown
+from reports import markdown, timing
 from reports.record import ROOT
 
 MODELS = {'soil_field': 'soil field', 'pcg': 'graph network (pcg)'}
@@ -71,37 +72,40 @@ def evaluate(name: str, case: int | str, out: str) -> tuple[list[dict], list[str
     solver = 1e3 * parameters['solver_cpu_s'] / scenes.FRAMES
     rows = [{'method': 'solver (ground truth)', PARTICLES: solver}]
     rollouts = []
-    for preset in MODELS:
-        is_field = preset == 'soil_field'
+    for preset, title in MODELS.items():
         model = lts.load(os.path.join(ROOT, 'models', name, preset))
         opened = registry.open_model(model.path, data.path, 'test')
-        if is_field:
-            groups = [opened.groups[number]]
+        if preset == 'soil_field':
             evaluator = SoilEvaluator(model.model, under_load=False)
+            results, summary = evaluator.run([opened.groups[number]], 'test')
+            rollouts.append(results[0][-1])
+            steps, wholes = field_steps(model, rollouts[0])
+            rows.append(_row('persistence', summary['mean']['stay_still']))
         else:
             found = (g.take(np.flatnonzero(g.record == number)) for g in opened.groups)
             groups = [group for group in found if len(group.record)]
-            evaluator = opened.evaluator
-        results, summary = evaluator.run(groups, 'test')
-        rollouts.append(results[0][-1] if is_field else model.rollout(data.test[number]))
-        if len(rows) == 1:
-            rows.append(_row(markdown.TRIVIAL['stay_still'], summary['mean']['stay_still']))
-        record = data.test.records[number]
-        times = field_ms(model, rollouts[0]) if is_field else network_ms(model, record)
-        rows.append(_row(MODELS[preset], summary['mean']['model']) | times)
+            _, summary = opened.evaluator.run(groups, 'test')
+            rollouts.append(model.rollout(data.test[number]))
+            record = data.test.records[number]
+            poses = record.rigid_pose.astype(float)
+            steps, wholes = timing.stepping(model.stepper(), poses, record.step_context, EVERY)
+        # The first one chooses the particles that then are followed, or compiles.
+        times = {STEP: statistics.median(steps), PARTICLES: statistics.median(wholes[1:])}
+        row = _row(title, summary['mean']['model'])
+        rows.append(row | {column: 1e3 * seconds for column, seconds in times.items()})
     field, network = rollouts
     return rows, draw(name, field, network, out)
 
 
-def field_ms(model, rollout) -> dict:
-    """Milliseconds of a frame of a soil field that is stepped from Python along a rollout.
+def field_steps(model, rollout) -> tuple[list[float], list[float]]:
+    """As `timing.stepping`, of a soil field that is stepped from Python along a rollout.
 
     Args:
       model: `api.TerrainModel`.
       rollout: `soil_field.rollout.TerrainRollout` of it.
 
     Returns:
-      medians: of a step with its force, and of a step with its force and all particles.
+      seconds of steps with their force, and of steps with their force and all particles.
     """
     live = model.stepper(rollout.before.clone(), rollout.tool)
     live.start(rollout.pose[0])
@@ -111,25 +115,10 @@ def field_ms(model, rollout) -> dict:
         live.step(pose, rollout.dt)
         if frame < middle:
             steps.append(time.perf_counter() - start)
-        else:  # the first call chooses the particles, which then are followed
+        else:
             live.particles()
             wholes.append(time.perf_counter() - start)
-    return {STEP: 1e3 * statistics.median(steps), PARTICLES: 1e3 * statistics.median(wholes[1:])}
-
-
-def network_ms(model, record) -> dict:
-    """As `field_ms`, of a model in the subspace along a recorded run.
-
-    Args:
-      model: `api.TrainedModel`.
-      record: `dataset.Trajectory` with poses.
-    """
-    from reports import timing
-
-    poses = record.rigid_pose.astype(float)
-    steps, wholes = timing.stepping(model.stepper(), poses, record.step_context, EVERY)
-    # The first ones compile.
-    return {STEP: 1e3 * statistics.median(steps), PARTICLES: 1e3 * statistics.median(wholes[1:])}
+    return steps, wholes
 
 
 def _row(name, mean):
@@ -198,7 +187,7 @@ def define_flags() -> None:
     flags.DEFINE_list('cases', None, 'One run per scene; default: one that no model has seen.')
 
 
-def main(values, _) -> None:
+def main(values) -> None:
     """Runs the command.
 
     Raises:
@@ -233,4 +222,5 @@ def main(values, _) -> None:
 
 
 if __name__ == '__main__':
-    command.start(define_flags, main)
+    define_flags()
+    command.start(main)

@@ -17,8 +17,8 @@ from typing import NamedTuple
 
 from absl import flags
 
+from learning_to_simulate import command
 from pca_tools import workers
-from reports import command
 from reports.record import ROOT
 
 
@@ -80,10 +80,11 @@ def train(job: tuple[str, str]) -> str:
 def define_flags() -> None:
     flags.DEFINE_list('models', list(SHIPPED), 'Models to train.')
     flags.DEFINE_string('work_path', None, 'Folder for training states.', required=True)
-    command.define_workers('Models trained at a time.')
+    flags.DEFINE_integer('num_processes', 1, 'Models trained at a time, without a cluster.', 1)
+    flags.DEFINE_string('cluster', '', 'Where that is done: local:4, slurm:64, tcp://host:port.')
 
 
-def main(values, _) -> None:
+def main(values) -> None:
     """Runs the command.
 
     Raises:
@@ -98,4 +99,5 @@ def main(values, _) -> None:
 
 
 if __name__ == '__main__':
-    command.start(define_flags, main)
+    define_flags()
+    command.start(main)

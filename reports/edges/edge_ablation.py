@@ -8,30 +8,27 @@ Examples:
     python -m reports edges --data_path=datasets/excavation --modes=8 --nri_path=nri.json \\
         --work_path=/tmp/edges --output_path=/tmp/edges.json
 
-    # two rows of it
-    python -m reports edges --data_path=datasets/excavation --variants=none,correlation \\
-        --work_path=/tmp/edges --output_path=/tmp/edges.json
-
-Every row is a preset with another `--adjacency` and nothing else. The lists that this report makes
-(`<work_path>/lists/<variant>_<seed>.json`) have no self-edges where they have a number of edges:
-NRI has none, and so they differ in their choice of pairs alone.
+Every row is the preset `pcg` with another `adjacency` and nothing else. The lists that this
+report makes (`<work_path>/lists/<variant>_<seed>.json`) have no self-edges where they have a number
+of edges: NRI has none, and so they differ in their choice of pairs alone.
 """
 
 import os
-import sys
 
 import numpy as np
 from absl import flags
 
-from learning_to_simulate import connectivity_utils, reading_utils
+from learning_to_simulate import connectivity_utils, presets, reading_utils
 from learning_to_simulate.subspace import edge_lists
-from pca_tools import dataset, files, workers
-from reports import command
-from reports.protocol import rollouts
+from pca_tools import dataset, files
+from reports.protocol import judge, report
 
 # Whose lists every seed has of its own; the others are of the data.
 OF_SEED = ('random', 'NRI')
-NO_LIST = {'fully_connected': '--adjacency=fully_connected', 'gates': '--gate_weight=2'}
+NO_LIST: dict[str, dict] = {
+    'fully_connected': {'adjacency': 'fully_connected'},
+    'gates': {'gate_weight': 2.0},
+}
 
 
 def masks_of(velocities, keep: int, seed: int, nri_rows=None) -> dict:
@@ -104,23 +101,6 @@ def write_lists(folder: str, data_path: str, modes: int, keep: int, seeds: int, 
     return list(names)
 
 
-def trainings(preset: str, folder: str, variants, known) -> dict[str, str]:
-    """Row -> its training, as `rollouts.trainings` takes it.
-
-    Raises:
-      ValueError: an unknown variant.
-    """
-    known = [*NO_LIST, *known]
-    if unknown := set(variants or ()) - set(known):
-        raise ValueError(f'unknown variants {sorted(unknown)}; there are {known}')
-    return {
-        name: f'{preset} {NO_LIST[name]}'
-        if name in NO_LIST
-        else f'{preset} --adjacency={folder}/{name}_{"{seed}" if name in OF_SEED else 0}.json'
-        for name in variants or known
-    }
-
-
 def nri_rows_of(path: str | None, data_path: str):
     """The seeds of `nri_stability` on the same data, None without a path.
 
@@ -142,33 +122,23 @@ def define_flags() -> None:
     flags.DEFINE_string('nri_path', None, 'JSON of reports nri_stability; none: no NRI row.')
     flags.DEFINE_string('work_path', None, 'Folder for lists and trainings.', required=True)
     flags.DEFINE_string('output_path', None, "The protocol's JSON.", required=True)
-    flags.DEFINE_string('preset', 'pcg', 'Preset of all rows.')
     flags.DEFINE_integer('modes', 0, 'How many of the modes, the first ones; 0: all.', 0)
-    flags.DEFINE_list('variants', None, 'Only these rows; none: all.')
     flags.DEFINE_integer('num_seeds', 3, 'Trainings of each row.', 1)
     flags.DEFINE_integer('keep', 20, 'Mode edges of the lists that have a number.', 1)
     flags.DEFINE_integer('num_processes', 1, 'Models trained at a time.', 1)
 
 
-def main(v, _) -> None:
-    """Writes the lists, trains, and starts the protocol in the place of this process."""
-    folder = os.path.abspath(os.path.join(v.work_path, 'lists'))
+def main(v) -> None:
+    lists, models = (os.path.abspath(os.path.join(v.work_path, n)) for n in ('lists', 'models'))
     rows = nri_rows_of(v.nri_path, v.data_path)
-    known = write_lists(folder, v.data_path, v.modes, v.keep, v.num_seeds, rows)
-    preset = v.preset + (f' --modes={v.modes}' if v.modes else '')
-    shared = ('data_path', 'work_path', 'output_path', 'num_processes')
-    arguments = [f'--{name}={getattr(v, name)}' for name in shared]
-    jobs, models = [], os.path.abspath(os.path.join(v.work_path, 'models'))
-    for name, training in trainings(preset, folder, v.variants, known).items():
-        made = rollouts.trainings(training, v.num_seeds, os.path.join(models, name))
-        jobs += [(v.data_path, path, given, (), '') for path, given in made]
-        arguments.append(f'--model={name}={",".join(path for path, _ in made)}')
-    with workers.start('', v.num_processes) as crew:
-        for outcome in crew.run(rollouts.make, jobs):
-            if outcome.error is not None:
-                raise ValueError(outcome.error)
-    os.execv(sys.executable, [sys.executable, '-m', 'reports.protocol', *arguments])
-
-
-if __name__ == '__main__':
-    command.start(define_flags, main)
+    written = write_lists(lists, v.data_path, v.modes, v.keep, v.num_seeds, rows)
+    jobs, methods = [], {}
+    for name in [*NO_LIST, *written]:
+        methods[name] = [os.path.join(models, f'{name}_{seed}') for seed in range(v.num_seeds)]
+        for seed, path in enumerate(methods[name]):
+            file = f'{lists}/{name}_{seed if name in OF_SEED else 0}.json'
+            setting = NO_LIST.get(name, {'adjacency': file})
+            config = presets.make_config('pcg', **setting, modes=v.modes, seed=seed)
+            jobs.append((v.data_path, path, config, None))
+    judge.make_all(jobs, v.num_processes)
+    report.write(methods, v)

@@ -19,10 +19,10 @@ import os
 from absl import flags
 from matplotlib.figure import Figure
 
-from nri import particle_systems, simulate
+from nri import simulate
 from nri.config import NriConfig
 from pca_tools import files
-from reports import command, markdown, record
+from reports import markdown, record
 
 # Unsupervised edge accuracy, Kipf et al. 2018, table 1.
 PUBLISHED = {
@@ -71,13 +71,13 @@ def run(system, n_objects, work_path, counts, config, model_path=None):
     Returns:
       what the JSON file holds.
     """
-    from nri import data, experiment, losses, model
+    from nri import data, losses, model, training
 
     name = f'{system}{n_objects}'
     data_path = os.path.join(work_path, f'{"test" if model_path else "data"}_{name}')
     made_of = {'test': counts['test']} if model_path else counts
     if not os.path.exists(os.path.join(data_path, f'simulation_{name}.json')):
-        made = particle_systems.SYSTEMS[system](n_objects=n_objects)
+        made = simulate.SYSTEMS[system](n_objects=n_objects)
         sample_every = round(0.1 / made.dt)
         how = 50 * sample_every, sample_every, 42
         simulate.write_dataset(made, system, made_of, *how, data_path)
@@ -87,12 +87,12 @@ def run(system, n_objects, work_path, counts, config, model_path=None):
         windows = test.features[:, :, : config.span : config.stride]
         found = trained.window_probabilities(windows).argmax(axis=-1)
         accuracy, _ = losses.edge_accuracy(found, test.edges, config.edge_types)
-        metrics = files.read_json(os.path.join(model_path, experiment.METRICS_FILE))
+        metrics = files.read_json(os.path.join(model_path, training.METRICS_FILE))
         metrics |= {'test': {'accuracy': accuracy}}
     else:
         model_path = os.path.join(work_path, f'model_{name}')
-        metrics = experiment.train(data_path, model_path, config)
-    history = files.read_json(os.path.join(model_path, experiment.HISTORY_FILE))
+        metrics = training.train(data_path, model_path, config)
+    history = files.read_json(os.path.join(model_path, training.HISTORY_FILE))
     return {
         'system': system,
         'n_objects': n_objects,
@@ -146,14 +146,14 @@ def draw(result, path):
 
 
 def define_flags():
-    flags.DEFINE_enum('system', 'springs', sorted(particle_systems.SYSTEMS), 'What to simulate.')
+    flags.DEFINE_enum('system', 'springs', sorted(simulate.SYSTEMS), 'What to simulate.')
     flags.DEFINE_integer('n_objects', 5, 'V, number of objects.')
     flags.DEFINE_string('work_path', None, 'Folder for data and model.', required=True)
     flags.DEFINE_string('model_path', None, 'A model that was trained elsewhere: only judged.')
     flags.DEFINE_string('output_path', 'docs', 'Folder for the JSON file and the picture.')
 
 
-def main(given, _) -> None:
+def main(given) -> None:
     os.makedirs(given.output_path, exist_ok=True)
     counts, config = settings_of(given.system, given.n_objects)
     result = run(given.system, given.n_objects, given.work_path, counts, config, given.model_path)
@@ -162,7 +162,3 @@ def main(given, _) -> None:
     files.write_json(f'{stem}.json', record.provenance() | result)
     draw(result, f'{stem}.png')
     print(f'wrote {stem}.json and .png: {result["test_accuracy"]:.2%} of the edges right')
-
-
-if __name__ == '__main__':
-    command.start(define_flags, main)

@@ -23,49 +23,48 @@ from learning_to_simulate.command import import_tensorflow
 from learning_to_simulate.command import settings as given_settings
 from learning_to_simulate.subspace import edge_lists
 from nri import data as nri_data
-from nri import edge_picture
+from nri import export_edges
 from nri.config import NriConfig
-from nri.export_edges import edge_posterior, spread
 from pca_tools import files, workers
-from reports import command, markdown, record
+from reports import markdown, record
 
+THRESHOLD = 0.6  # an edge has a probability above it
 # What differs from `NriConfig`; the learning rate stays unless --set gives a decay_start.
 SETTINGS: dict = {'epochs': 8, 'hidden': 32, 'stride': 2, 'batch_size': 16, 'learning_rate': 1e-3,
             'decay_epochs': 10}  # fmt: skip
 
 
-def train_seed(data_path: str, model_path: str, config: NriConfig, threshold: float) -> dict:
+def train_seed(data_path: str, model_path: str, config: NriConfig) -> dict:
     """Trains NRI from one seed, or finishes it, and returns what it found.
 
     Args:
       data_path: dataset folder.
       model_path: folder of this seed's model.
       config: the settings, with the seed.
-      threshold: an edge has a probability above it.
 
     Returns:
       the row of the seed: P(edge) [V, V] ([receiver][sender], null on the diagonal), spread over
       the runs, edges above the threshold, test loss and status, loss on valid after each epoch.
     """
-    from nri import experiment
+    from nri import training
     from nri.model import load_model
 
-    metrics = experiment.train(data_path, model_path, config)
-    history = files.read_json(os.path.join(model_path, experiment.HISTORY_FILE))
+    metrics = training.train(data_path, model_path, config)
+    history = files.read_json(os.path.join(model_path, training.HISTORY_FILE))
     model = load_model(model_path)
     data = nri_data.load(data_path, 'train', config.nodes, config.modes)
-    posterior = edge_posterior(model, data.features)
+    posterior = export_edges.edge_posterior(model, data.features)
     p = posterior.mean(axis=0)
     return {
         'seed': config.seed,
         'weights': model.digest,
         'node_names': list(model.node_names),
-        'edges': int((p > threshold).sum()),
+        'edges': int((p > THRESHOLD).sum()),
         'status': metrics['test']['status'],
         'test_loss': metrics['test']['loss'],
         'seconds': metrics['seconds'],
         'valid_losses': [round(row['loss'], 3) for row in history],
-        **spread(posterior, threshold),
+        **export_edges.spread(posterior, THRESHOLD),
         'probabilities': [[None if np.isnan(x) else round(float(x), 5) for x in r] for r in p],
     }
 
@@ -81,12 +80,11 @@ def matrices(rows: list[dict]) -> np.ndarray:
     return np.array([row['probabilities'] for row in rows], np.float64)
 
 
-def compare(rows: list[dict], threshold: float) -> dict:
+def compare(rows: list[dict]) -> dict:
     """Agreement of the seeds, each beside what unrelated graphs of the same density would have.
 
     Args:
       rows: of `train_seed`.
-      threshold: an edge has a probability above it.
 
     Returns:
       dict: mean and range over pairs of seeds of `jaccard` (edges in both over edges in either),
@@ -95,7 +93,7 @@ def compare(rows: list[dict], threshold: float) -> dict:
       numbers of edges.
     """
     p = matrices(rows)[:, ~np.eye(len(rows[0]['node_names']), dtype=bool)]
-    found = p > threshold
+    found = p > THRESHOLD
     by_chance: list = []
     values: dict = {'jaccard': [], 'agreement': [], 'correlation': []}
     for a, b in itertools.combinations(range(len(rows)), 2):
@@ -143,14 +141,12 @@ def agreement(*paths: str) -> str:
 
 def draw(path: str, result: dict) -> None:
     """Draws P(edge) of every seed and their mean, senders x receivers, as PNG."""
-    rows = result['seeds']
-    drawn, axes = edge_picture.new_figure(len(rows) + 1)
-    p = matrices(rows)
+    rows, p = result['seeds'], matrices(result['seeds'])
     titles = [f'seed {r["seed"]}: {r["edges"]} edges, {r["entropy_bits"]:.2f} bits' for r in rows]
-    for axis, matrix, title in zip(axes[0], [*p, p.mean(axis=0)], [*titles, 'mean over seeds']):
-        edge_picture.show_matrix(axis, matrix, rows[0]['node_names'])
-        axis.set_title(title, fontsize=10)
-    edge_picture.save(path, drawn)
+    panels = zip([*titles, 'mean over seeds'], [*p, p.mean(axis=0)], strict=True)
+    names = rows[0]['node_names']
+    figure, _ = export_edges.show_matrices([(*panel, names) for panel in panels])
+    export_edges.save(path, figure)
 
 
 def define_flags() -> None:
@@ -158,12 +154,12 @@ def define_flags() -> None:
     flags.DEFINE_string('work_path', None, 'Folder for the models.', required=True)
     flags.DEFINE_string('output_path', None, 'JSON file of the result.', required=True)
     flags.DEFINE_integer('seeds', 5, 'Trainings to compare.', 2)
-    command.define_workers('Seeds trained at a time.')
-    flags.DEFINE_float('threshold', 0.6, 'Edges have a probability above it.', 0.0, 1.0)
+    flags.DEFINE_integer('num_processes', 1, 'Seeds trained at a time, without a cluster.', 1)
+    flags.DEFINE_string('cluster', '', 'Where that is done: local:4, slurm:64, tcp://host:port.')
     flags.DEFINE_multi_string('set', [], f'NAME=VALUE of `NriConfig`; else {SETTINGS}.')
 
 
-def main(v, _) -> None:
+def main(v) -> None:
     types: dict = {f.name: f.type for f in dataclasses.fields(NriConfig) if f.name != 'seed'}
     types['no_edge_prior'] = float
     settings = SETTINGS | given_settings(v.set, types)
@@ -172,7 +168,7 @@ def main(v, _) -> None:
     for seed in range(v.seeds):
         config = NriConfig(**settings, seed=seed)
         model_path = os.path.abspath(os.path.join(v.work_path, f'seed_{seed}'))
-        jobs.append((os.path.abspath(v.data_path), model_path, config, v.threshold))
+        jobs.append((os.path.abspath(v.data_path), model_path, config))
     with workers.start(v.cluster, v.num_processes) as crew:
         outcomes = sorted(crew.run(train_job, jobs), key=lambda outcome: outcome.index)
     if failed := [f'seed {o.index}: {o.error}' for o in outcomes if o.error is not None]:
@@ -180,8 +176,8 @@ def main(v, _) -> None:
     rows = [outcome.value for outcome in outcomes]
     result = record.provenance(1) | {
         'digests': edge_lists.data_digests(v.data_path),
-        'settings': settings | {'threshold': v.threshold},
-        'compared': compare(rows, v.threshold),
+        'settings': settings | {'threshold': THRESHOLD},
+        'compared': compare(rows),
         'seeds': rows,
     }
     os.makedirs(os.path.dirname(os.path.abspath(v.output_path)), exist_ok=True)
@@ -190,7 +186,3 @@ def main(v, _) -> None:
     draw(f'{stem}.png', result)
     for name, value in result['compared'].items():
         print(f'{name:22s} {value}')
-
-
-if __name__ == '__main__':
-    command.start(define_flags, main)

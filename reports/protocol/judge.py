@@ -5,15 +5,17 @@ solver's own (`soil_truth`). Networks in a subspace follow 5 thousand particles,
 of heights; so they have no errors of surface, front and heap.
 """
 
-import dataclasses
 import glob
+import hashlib
 import os
 
 import numpy as np
 
+from learning_to_simulate import checkpoints, presets, registry
+from learning_to_simulate.command import import_tensorflow, named_paths
+from mpm.verification import ladder
 from pca_tools import dataset, files, workers
 from reports import record
-from reports.protocol import rollouts, truth
 
 SCHEMA_VERSION = 3
 SPLIT = 'test'
@@ -32,80 +34,64 @@ QUANTITIES = (
     'side_rmse', 'height_mm', 'travel_mm', 'flagged_share', 'bound_kept', 'bound_newton',
     'near_95_mm',
 )  # fmt: skip
+# Of the cases of the ladder whose solutions tell the truth's own errors: how their names begin.
+_LADDERS = {'blade': 'excavation', 'wheel': 'wheel'}
+LADDER = os.path.join(record.ROOT, 'mpm', 'verification', 'ladder.json')
 # What a rollout that is flagged is compared in, see `separation`.
 _SHARE = 'flagged_frames', 'error_flagged', 'error_inside'
 
 
-@dataclasses.dataclass(frozen=True)
-class Method:
-    """What is judged: its name in tables, and the folders of its models, one a training."""
-
-    name: str
-    folders: list[str]
-
-
-def methods_of(given: list[str]) -> list[Method]:
-    """Of NAME=FOLDER[,FOLDER...].
+def folders_of(given: list[str]) -> dict[str, list[str]]:
+    """Method -> folders of its models, one a training, of NAME=FOLDER[,FOLDER...].
 
     Raises:
       ValueError: another form, or a name that is given twice.
     """
-    found: list[Method] = []
-    for item in given:
-        name, _, paths = item.partition('=')
-        folders = [os.path.abspath(path) for path in paths.split(',') if path]
-        if not folders or not name or name in [method.name for method in found]:
-            raise ValueError(
-                f'--model={item}: NAME=FOLDER[,FOLDER...] was expected, each name once'
-            )
-        found.append(Method(name, folders))
-    return found
+    given = [item.rstrip(',') for item in given]
+    named = named_paths('model', given, 'FOLDER[,FOLDER...]')
+    return {name: [os.path.abspath(p) for p in paths.split(',')] for name, paths in named.items()}
 
 
-def judge(data_path: str, given: list[str], work_path: str, num_processes: int = 1) -> dict:
+def judge(
+    data_path: str, methods: dict[str, list[str]], work_path: str, num_processes: int = 1
+) -> dict:
     """The document of a scene.
 
     Args:
       data_path: dataset folders, separated by commas: all methods know the first; the others are
         for soil fields.
-      given: of `methods_of`.
+      methods: of `folders_of`.
       work_path: folder of rollouts and of the fitted ridge; a second call finds them there.
       num_processes: models that are rolled out at a time.
 
     Raises:
-      ValueError: see `methods_of`; a model failed, the others are done.
+      ValueError: a model failed, the others are done.
     """
     from learning_to_simulate.soil_field import evaluation
     from learning_to_simulate.soil_field import runs as runs_lib
     from reports.protocol import resistive_force
 
-    methods = methods_of(given)
     folders = [os.path.abspath(path) for path in data_path.split(',')]
     name = os.path.basename(folders[0])
-    fitted = os.path.join(work_path, f'{name}_{rollouts.digest(folders[0], "train")[:12]}')
-    ((ridge, flags),) = rollouts.trainings('path_ridge', 1, fitted)
-    jobs: dict[str, tuple] = {}
-    for path, given_flags in [(ridge, flags)] + [(p, None) for m in methods for p in m.folders]:
-        data = ','.join(folders) if given_flags is None and on_terrain(path) else folders[0]
-        jobs[path] = data, path, given_flags, (SPLIT,), os.path.join(work_path, 'rollouts', name)
-    failed = []
-    with workers.start('', num_processes) as crew:
-        for outcome in crew.run(rollouts.make, list(jobs.values())):
-            if outcome.error is not None:
-                failed.append(f'{list(jobs)[outcome.index]}: {outcome.error}')
-    if failed:
-        raise ValueError(f'{len(failed)} of {len(jobs)} models failed:\n' + '\n'.join(failed))
+    output = os.path.join(work_path, 'rollouts', name)
+    fitted = os.path.join(work_path, f'{name}_{digest(folders[0], "train")[:12]}')
+    ridge = os.path.join(fitted, 'path_ridge_0')
+    jobs = {ridge: (folders[0], ridge, presets.make_config('path_ridge'), output)}
+    for path in (path for of in methods.values() for path in of):
+        data = ','.join(folders) if registry.of_folder(path).on_terrain else folders[0]
+        jobs[path] = data, path, None, output
+    make_all(list(jobs.values()), num_processes)
 
     runs = [(i, run) for i, path in enumerate(folders) for run in runs_lib.read(path, SPLIT)]
     tool = runs[0][1].tool.name
     found: list[dict] = []
-    for method in [*methods, Method(RIDGE, [ridge])]:
+    for method, paths in (methods | {RIDGE: [ridge]}).items():
         # Seeds of each column; networks have one.
         of_columns: dict[str, list] = {}
-        for path in method.folders:
-            folder = rollouts.roll_out(jobs[path][0], path, SPLIT, jobs[path][4])
+        for path in paths:
+            folder = roll_out(jobs[path][0], path, output)
             for column, seed in _seeds(path, folder, len(runs)).items():
-                of_columns.setdefault(column.format(method.name), []).append(seed)
+                of_columns.setdefault(column.format(method), []).append(seed)
         found += [{'name': n, 'seeds': seeds} for n, seeds in of_columns.items()]
     still = [evaluation.still(run) for _, run in runs]
     formula = [evaluation.formula(run) or {} for _, run in runs]
@@ -123,15 +109,63 @@ def judge(data_path: str, given: list[str], work_path: str, num_processes: int =
         'data': [_facts(path) for path in folders],
         'runs': [{'data': i, 'case': run.case, 'kind': run.kind} for i, run in runs],
         'methods': found,
-        'truth': truth.errors(tool),
+        'truth': truth_errors(tool),
     }
 
 
-def on_terrain(model_path: str) -> bool:
-    """Whether a trained model is a soil field."""
-    from learning_to_simulate import registry
+def make_all(jobs: list[tuple], num_processes: int) -> None:
+    """Does jobs of `make`, so many at a time.
 
-    return registry.of_folder(model_path).on_terrain
+    Raises:
+      ValueError: some failed; the others are done.
+    """
+    with workers.start('', num_processes) as crew:
+        failed = [
+            f'{jobs[outcome.index][1]}: {outcome.error}'
+            for outcome in crew.run(make, jobs) if outcome.error is not None
+        ]  # fmt: skip
+    if failed:
+        raise ValueError(f'{len(failed)} of {len(jobs)} models failed:\n' + '\n'.join(failed))
+
+
+def make(job: tuple) -> None:
+    """Trains a model and rolls it out, or finds that done: one task of a worker, on one thread.
+
+    Args:
+      job: (dataset folder, model folder, settings of its training or None where it is trained,
+        folder of the rollouts or None for none).
+    """
+    import_tensorflow(1)
+    data_path, model_path, config, folder = job
+    if config is not None:
+        registry.train(data_path, model_path, config)
+    if folder is not None:
+        roll_out(data_path, model_path, folder)
+
+
+def roll_out(data_path: str, model_path: str, folder: str) -> str:
+    """Rolls a model out over the test split, as `lts evaluate` does; returns the folder of its
+    files.
+
+    The folder is named by what model and runs are, so a second call finds it done; metrics.json is
+    the last file to be written.
+    """
+    digests = [checkpoints.folder_digest(model_path), digest(data_path, SPLIT)]
+    name = '_'.join([os.path.basename(model_path), *(d[:12] for d in digests)])
+    output = os.path.join(folder, name, SPLIT)
+    if not os.path.exists(os.path.join(output, 'metrics.json')):
+        from learning_to_simulate import evaluation
+
+        opened = registry.open_model(model_path, data_path, SPLIT)
+        results, summary = opened.evaluator.run(opened.groups, SPLIT)
+        evaluation.save_rollouts(output, SPLIT, results, summary, opened.metadata, digests[0])
+    return output
+
+
+def digest(data_path: str, split: str) -> str:
+    """Of the records of a split of datasets, separated by commas."""
+    paths = [dataset.split_path(path, split) for path in data_path.split(',')]
+    return hashlib.sha256(''.join(map(files.sha256_of_file, paths)).encode()).hexdigest()
 
 
 def _facts(path):
@@ -220,20 +254,17 @@ def read(path: str) -> dict:
 
 def summary(document: dict) -> dict:
     """Of the runs of the first dataset, which all methods know ('all'), of each kind of run, and of
-    all other datasets ('others'): method -> quantity -> `figures`, of kinds means and medians."""
+    all other datasets ('others'): method -> quantity -> `figures`."""
     runs = document['runs']
     chosen = {'all': [i for i, run in enumerate(runs) if not run['data']]}
     if others := [i for i, run in enumerate(runs) if run['data']]:
         chosen['others'] = others
     for kind in sorted({run['kind'] for run in runs}):
         chosen[kind] = [i for i, run in enumerate(runs) if run['kind'] == kind]
-    still = document['methods'][-1]['seeds'][0]['errors']
     return {
         name: {
             method['name']: {
-                key: found
-                for key in QUANTITIES
-                if (found := figures(method['seeds'], key, places, still, name == 'all'))
+                key: found for key in QUANTITIES if (found := figures(method['seeds'], key, places))
             }
             for method in document['methods']
         }
@@ -241,25 +272,49 @@ def summary(document: dict) -> dict:
     }
 
 
-def figures(seeds, key: str, places: list[int], still: dict, whole: bool = True) -> dict:
-    """`runs`; `mean`, `median` and `worst` over runs and `wins` against persistence, each a list
-    with a number a seed; {} where the method says nothing. A run that was refused is infinitely
-    wrong: then mean and worst are None."""
-    found: dict = {'runs': 0, 'mean': [], 'median': [], 'worst': [], 'wins': []}
+def figures(seeds, key: str, places: list[int]) -> dict:
+    """`runs`, their number; `mean` and `median` over them, each a list with a number a seed; {}
+    where the method says nothing. A run that was refused is infinitely wrong: then the mean is
+    None."""
+    found: dict = {'runs': 0, 'mean': [], 'median': []}
     for seed in seeds:
         errors, refused = seed['errors'].get(key), seed['errors'].get('refused', ())
         if errors is None:
             return {}
-        values = {i: np.inf if i in refused else errors[i] for i in places}
-        values = {i: v for i, v in values.items() if v is not None}
+        values = [np.inf if i in refused else errors[i] for i in places]
+        values = [value for value in values if value is not None]
         if not values:
             return {}
-        numbers = np.array(list(values.values()))
-        for name, figure in (('mean', np.mean), ('median', np.median), ('worst', np.max)):
-            value = float(figure(numbers))
+        for name, figure in (('mean', np.mean), ('median', np.median)):
+            value = float(figure(values))
             found[name].append(float(f'{value:.4g}') if np.isfinite(value) else None)
-        others = still.get(key)
         found['runs'] = len(values)
-        if others is not None:
-            found['wins'].append(sum(v < others[i] for i, v in values.items() if others[i]))
-    return found if whole else {key: found[key] for key in ('runs', 'mean', 'median')}
+    return found
+
+
+def truth_errors(tool: str, path: str = LADDER) -> dict:
+    """How far the ground truth itself is from finer solutions, over the cases of a tool.
+
+    Args:
+      tool: 'blade' or 'wheel'.
+      path: of the ladder.
+
+    Returns:
+      `cases`; against cells that are a third as long across: `surface_mm` of the whole bed at the
+      end and `force_relative_l2` of means over five frames; against the limit of fine cells:
+      `drawbar_relative_l2`, of the mean force along the way (upwards where that matters). Each a
+      list with a number a case.
+    """
+    names = 'cases', 'surface_mm', 'force_relative_l2', 'drawbar_relative_l2'
+    found: dict = {name: [] for name in names}
+    for name, runs in files.read_json(path)['cases'].items():
+        if not name.startswith(_LADDERS[tool]) or 'cubic' not in runs:
+            continue
+        compared = ladder.compared(runs['base'], runs['cubic'])
+        cells, forces = ladder.over_cells(name, runs)
+        base = np.mean(runs['base']['force'], axis=0)[ladder.CASES[name][2]]
+        limit = ladder.limit(cells, forces)[0]
+        values = name, compared['surface_mm'], compared['force_5_frames'], abs(base / limit - 1.0)
+        for column, value in zip(found.values(), values, strict=True):
+            column.append(value if isinstance(value, str) else float(f'{value:.4g}'))
+    return found

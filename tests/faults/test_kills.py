@@ -17,7 +17,7 @@ import pytest
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 CODE = """
 import json, os, sys
-from tests.faults import kill_tasks, kills
+from tests.faults import kills
 def broken(folder):
     os.makedirs(f'{folder}/results', exist_ok=True)
     for name in 'ab':
@@ -31,8 +31,8 @@ def broken(folder):
 tasks = ['training', 'conversion over an older dataset', 'results over older ones', 'solver runs']
 moments, points = map(int, sys.argv[2:])
 if moments > 1:
-    tasks = list(kill_tasks.TASKS)
-kill_tasks.TASKS['broken'] = kill_tasks.Task(broken, 'results')
+    tasks = list(kills.TASKS)
+kills.TASKS['broken'] = kills.Task(broken, 'results')
 with open(sys.argv[1], 'w') as file:
     json.dump(list(kills.run(dict.fromkeys([*tasks, 'broken'], moments), 0, points)), file)
 """

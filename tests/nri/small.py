@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from nri import data, particle_systems, simulate
+from nri import data, simulate
 from nri.config import NriConfig
 from nri.model import NriModel
 
@@ -11,14 +11,13 @@ TINY = {'hidden': 8, 'window': 15, 'segment': 2, 'batch_size': 16}
 
 def springs(n_run=32, n_objects=3, seed=0, split='train', n_frame=15):
     """`NriData` of springs, frames 0.1 apart as in Kipf's data."""
-    system = particle_systems.Springs(n_objects=n_objects, dt=0.02)
+    system = simulate.Springs(n_objects=n_objects, dt=0.02)
     arrays = simulate.simulate_split(system, n_run, 5 * (n_frame + 1), 5, seed, split)
     features = np.concatenate([arrays['loc'], arrays['vel']], axis=2).transpose(0, 3, 1, 2)
     return data.NriData(
         np.ascontiguousarray(features),
         data.edge_types(arrays['edges']),
         tuple(f'node_{i}' for i in range(n_objects)),
-        ((0, 1), (2, 3)),
         True,
         'digest',
         split,
@@ -34,7 +33,7 @@ def model(held, **settings):
 
 def write_springs(folder, n_objects=3, counts=(32, 16, 16)):
     """Writes Kipf's files of 15 frames; returns the folder as a string."""
-    made = particle_systems.Springs(n_objects=n_objects, dt=0.02)
+    made = simulate.Springs(n_objects=n_objects, dt=0.02)
     counts = dict(zip(simulate.SPLITS, counts, strict=True))
     simulate.write_dataset(made, 'springs', counts, 80, 5, 0, str(folder))
     return str(folder)

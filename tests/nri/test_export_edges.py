@@ -6,9 +6,9 @@ import pytest
 from learning_to_simulate.subspace import edge_lists
 from nri import data as nri_data
 from nri import export_edges
-from nri.config import NriConfig
 from nri.model import NriModel
 from tests.learning_to_simulate import synthetic
+from tests.nri import small
 from tests.pca_tools.commands import call_command
 
 R = synthetic.N_MODES
@@ -23,9 +23,8 @@ def data(tmp_path_factory):
 def write_model(path, data, **settings):
     """An untrained model of a dataset, whose layers know its range."""
     held = nri_data.load(data, 'train', settings.get('nodes', 'modes'), settings.get('modes', 0))
-    config = NriConfig(**TINY, **settings)
-    model = NriModel(config, held.node_names, *nri_data.normalization(held), held.digest)
-    model.encode(model.normalized(held.features[:, :, : config.window]), is_training=True)
+    model = small.model(held, **TINY, **settings)
+    model.encode(model.normalized(held.features[:, :, : TINY['window']]), is_training=True)
     model.save(path)
     return path
 

@@ -14,8 +14,7 @@ from tests.nri import small
 @pytest.mark.parametrize(
     ('settings', 'message'),
     [
-        ({'temperature': 0.0}, 'temperature is 0.0, must be positive'),
-        ({'temperature': 0.01}, 'at least 0.05'),
+        ({'temperature': 0.0}, 'temperature is 0.0, must be at least 0.05'),
         ({'edge_types': 1}, 'edge_types is 1, must be at least 2'),
         ({'segment': 49}, 'more than the window of 49'),
         ({'seed': 2**28}, 'seed is 268435456'),

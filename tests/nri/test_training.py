@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import tensorflow as tf
 
-from nri import data, experiment
+from nri import data, training
 from nri.config import NriConfig
 from nri.model import load_model
 from nri.training import Trainer
@@ -27,7 +27,7 @@ def weights(path):
 def test_resumed_training_gives_the_same_bits(tmp_path, monkeypatch):
     """What a kill after epoch 2 leaves behind is copied, and trained on."""
     folder = small.write_springs(tmp_path / 'data')
-    log = experiment._log
+    log = training._log
 
     def log_and_copy(row, bar):
         if row['epoch'] == 2:
@@ -35,10 +35,10 @@ def test_resumed_training_gives_the_same_bits(tmp_path, monkeypatch):
             (tmp_path / 'parts' / '.lock.json').unlink()
         log(row, bar)
 
-    monkeypatch.setattr(experiment, '_log', log_and_copy)
+    monkeypatch.setattr(training, '_log', log_and_copy)
     with models.eagerly():
         whole, parts = (
-            experiment.train(folder, str(tmp_path / name), config()) for name in ('whole', 'parts')
+            training.train(folder, str(tmp_path / name), config()) for name in ('whole', 'parts')
         )
     assert whole['epochs'] == parts['epochs'] == 4
     for key in ('best_epoch', 'test'):
@@ -65,14 +65,14 @@ def test_another_config_or_other_data_do_not_resume(tmp_path):
         (other, {}, 'data_digest'),
     ):
         with pytest.raises(ValueError, match=message):
-            experiment.train(path, model, config(**settings))
+            training.train(path, model, config(**settings))
     files.write_json(f'{model}/config.json', {'kind': 'other'})
     with pytest.raises(ValueError, match='not the config of an NRI model'):
-        experiment.train(folder, model, config())
+        training.train(folder, model, config())
     (tmp_path / 'full').mkdir()
     (tmp_path / 'full' / 'thesis.txt').write_text('keep me')
     with pytest.raises(ValueError, match='thesis.txt'):
-        experiment.train(folder, str(tmp_path / 'full'), config())
+        training.train(folder, str(tmp_path / 'full'), config())
     assert [p.name for p in (tmp_path / 'full').iterdir()] == ['thesis.txt']
 
 
@@ -80,7 +80,7 @@ def test_a_loss_that_is_not_finite_stops_the_training(tmp_path, monkeypatch):
     folder = small.write_springs(tmp_path / 'data')
     monkeypatch.setattr(Trainer, 'step', lambda self, i: {'loss': tf.constant(np.nan)})
     with pytest.raises(ValueError, match='loss is nan in epoch 1'):
-        experiment.train(folder, str(tmp_path / 'model'), config())
+        training.train(folder, str(tmp_path / 'model'), config())
     assert not (tmp_path / 'model' / 'weights.npz').exists()
 
 
@@ -169,7 +169,7 @@ def test_data_and_settings_that_do_not_fit_are_refused_before_the_training(tmp_p
         (springs, {}, 'b: test: runs have 9 frames; a window of 15'),
     ):
         with pytest.raises(ValueError, match=message):
-            experiment.train(folder, model, config(**settings))
+            training.train(folder, model, config(**settings))
     done = call_command(
         'nri.train', f'--data_path={modes}', f'--model_path={model}', '--temperature=0'
     )

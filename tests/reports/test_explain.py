@@ -5,8 +5,7 @@ import pytest
 import tensorflow as tf
 
 from learning_to_simulate import rollout
-from reports.explain import __main__ as explain
-from reports.explain import explanation, product_count
+from reports import explain, explanation
 from tests.learning_to_simulate import models
 
 
@@ -18,7 +17,7 @@ def test_products_count_what_depends_on_the_arguments():
         y = tf.einsum('ab,bc->ac', x, both)
         return tf.matmul(tf.reshape(y, [1, 3, 6]), tf.ones([1, 3, 2]), transpose_a=True)
 
-    got = product_count.mflop(function, tf.ones([3, 4]))
+    got = explanation.mflop(function, tf.ones([3, 4]))
     np.testing.assert_allclose(got * 1e6, 2 * (3 * 4 * 6) + 2 * (6 * 3 * 2))
 
 
@@ -33,8 +32,18 @@ def test_plain_frame_equals_the_count_by_the_layers(tmp_path):
     node += 4 * width + (2 * width + 6)  # update, decoder
     edge = 4 + 2 * width + 3 * width  # encoder; messages, first layer of the edge alone
     expected = 2 * width * (v * node + e * edge) + 2 * v * e * width  # and their sums
-    got = product_count.plain_frame(model.simulator, layout, *inputs[:3])
+    got = explanation.plain_frame(model.simulator, layout, *inputs[:3])
     np.testing.assert_allclose(got * 1e6, expected)
+
+
+def test_a_frame_costs_the_same_where_its_context_changes(tmp_path):
+    counts = []
+    for context in (True, 'changing'):
+        model, (group, *_), _ = models.make(tmp_path / str(context), context=context)
+        layout = model.layout(group.n_rigid)
+        inputs = rollout.rollout_inputs(group.select(0), layout, model.simulator.scene)
+        counts.append(explanation.plain_frame(model.simulator, layout, *inputs[:3]))
+    assert counts[0] == counts[1] > 0
 
 
 @pytest.fixture(scope='module')

@@ -1,6 +1,4 @@
-"""Extreme cases: their paths, what must not be, the table."""
-
-import json
+"""Extreme cases: their paths, what must not be."""
 
 import numpy as np
 import pytest
@@ -71,24 +69,6 @@ def test_what_must_not_be_is_found():
     # 20 kg from 0.5 m hold 98.1 J.
     falls = Case('x', 'rest', load=1.0, height=0.3)
     assert wrong(falls) == [] and wrong(falls, energy=np.array([99.0])) == ['gains energy']
-
-
-def test_the_table_says_what_holds_what_is_flagged_and_what_is_refused(tmp_path):
-    row = {
-        'case': 'a', 'refused': '', 'by': [], 'wrong': [], 'force_over_weight': 2.0,
-        'soil_came': 0.01, 'python_differs': 1e-6,
-    }  # fmt: skip
-    other = row | {'by': ['speed', 'yaw'], 'flagged': 0.25, 'wrong': ['loses soil']}
-    del other['soil_came']
-    found = {
-        'blade': [row, row | {'case': 'b', 'refused': 'frame 7: the pose jumps: 4 m/s and more'}],
-        'wheel': [other, other | {'case': 'b'}], 'models': {'pcg': [{'case': 'b', 'status': 'ok'}]},
-    }  # fmt: skip
-    (tmp_path / 'a.json').write_text(json.dumps(found))
-    lines = stability.table(str(tmp_path / 'a.json')).splitlines()[2:]
-    assert lines[0] == '| a | holds | 1 | flagged, 25 % (speed, yaw) **loses soil** |  |  |'
-    assert lines[1].startswith('| b | refused (frame 7: the pose jumps: 4 m/s ...) |')
-    assert lines[1].endswith('| ok |') and '1e-06' in lines[2]
 
 
 @pytest.mark.slow

@@ -55,9 +55,9 @@ def test_table_and_picture_join_errors_and_times(recorded, tmp_path, monkeypatch
     values = SimpleNamespace(
         data_path='data,wide', protocol=str(protocol), soil_field='folder',
         model=['mlp_driven=folder'], training_s=['soil field=98', 'mlp_driven=6'], budget_ms=[],
-        num_threads=1, output_path=str(tmp_path / 'times'),
+        output_path=str(tmp_path / 'times'),
     )  # fmt: skip
-    times.main(values, None)
+    times.main(values)
     lines = times.table(f'{values.output_path}.json').splitlines()[2:]
     assert lines[0] == '| solver |  |  | 1100 | 1100 | 1 |'
     assert lines[1] == '| soil field, 1 of 2 members, C | 7 | 7 | 2 | 2 | 550 |'
@@ -76,10 +76,10 @@ def test_table_and_picture_join_errors_and_times(recorded, tmp_path, monkeypatch
     assert lines[1] == f'| 2 | {second} | 0.2 | {second} | 1.5 |' and lines[2][3:] == lines[1][3:]
     values.model = ['other=folder']
     with pytest.raises(ValueError, match=r"no \['other'\]"):
-        times.main(values, None)
+        times.main(values)
     values.protocol = None
     with pytest.raises(ValueError, match='--protocol is needed'):
-        times.main(values, None)
+        times.main(values)
 
 
 @pytest.mark.slow

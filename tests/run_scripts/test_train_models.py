@@ -31,4 +31,4 @@ def test_what_does_not_ship_is_refused(tmp_path):
         models, work_path = ['moon/pcg'], str(tmp_path)
 
     with pytest.raises(ValueError, match='no models .*moon/pcg.*; there are excavation/soil_field'):
-        train_models.main(Values, None)
+        train_models.main(Values)

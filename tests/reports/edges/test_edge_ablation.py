@@ -1,5 +1,7 @@
 """Lists of edges that are compared, and how the protocol is asked to compare them."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -32,3 +34,22 @@ def test_lists_of_a_number_have_that_number_and_no_self_edges():
     assert 'NRI' not in edge_ablation.masks_of(velocities, 4, 0)
     with pytest.raises(ValueError, match=f'no training over {R} modes from seed 2'):
         edge_ablation.masks_of(velocities, 4, 2, rows)
+
+
+def test_every_row_is_trained_from_every_seed_on_its_list(tmp_path, monkeypatch):
+    jobs, methods = [], {}
+    monkeypatch.setattr(edge_ablation.judge, 'make_all', lambda made, _: jobs.extend(made))
+    monkeypatch.setattr(edge_ablation.report, 'write', lambda made, _: methods.update(made))
+    values = SimpleNamespace(
+        data_path=synthetic.write_dataset(tmp_path / 'data'), work_path=str(tmp_path), nri_path='',
+        modes=0, keep=4, num_seeds=2, num_processes=1,
+    )  # fmt: skip
+    edge_ablation.main(values)
+    assert {'gates', 'none', 'random', 'correlation'} <= methods.keys()
+    configs = {path: config for _, path, config, _ in jobs}
+    for name, (first, second) in methods.items():
+        one, other = configs[first], configs[second]
+        assert (one.preset, one.seed, other.seed) == ('pcg', 0, 1)
+        assert (one.adjacency != other.adjacency) == (name == 'random')
+        if name not in edge_ablation.NO_LIST:
+            edge_lists.read(one.adjacency).check_data(values.data_path)

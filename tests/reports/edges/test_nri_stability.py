@@ -7,7 +7,7 @@ import pytest
 
 from learning_to_simulate.subspace import edge_lists
 from nri import data as nri_data
-from nri import experiment
+from nri import training
 from nri.config import NriConfig
 from nri.model import load_model
 from pca_tools import files
@@ -28,7 +28,7 @@ def test_comparison_of_seeds_against_hand_counts():
     """Edges {01, 02} and {01, 12} of 6 pairs: one in both, three in either, four said alike."""
     a, b = np.zeros((3, 3)), np.zeros((3, 3))
     a[0, 1] = a[0, 2] = b[0, 1] = b[1, 2] = 1.0
-    result = nri_stability.compare([row(a), row(b), row(a)], 0.6)
+    result = nri_stability.compare([row(a), row(b), row(a)])
     third = result['jaccard']
     assert third['min'] == pytest.approx(1 / 3) and third['max'] == 1.0
     assert third['mean'] == pytest.approx((1 / 3 + 1 + 1 / 3) / 3)
@@ -37,7 +37,7 @@ def test_comparison_of_seeds_against_hand_counts():
     # Two unrelated graphs of density 1/3: (1/9) / (5/9) and 1/9 + 4/9.
     assert result['jaccard_by_chance'] == pytest.approx(1 / 5)
     assert result['agreement_by_chance'] == pytest.approx(5 / 9)
-    empty = nri_stability.compare([row(np.zeros((3, 3)))] * 2, 0.6)
+    empty = nri_stability.compare([row(np.zeros((3, 3)))] * 2)
     assert empty['jaccard'] is None and empty['correlation'] is None
 
 
@@ -53,14 +53,14 @@ def test_the_row_of_a_seed_is_what_its_model_says(tmp_path, monkeypatch):
         files.write_json(f'{model_path}/history.json', [{'loss': 2.0}, {'loss': 1.5}])
         return {'test': {'status': 'OK', 'loss': 1.75}, 'seconds': 3.0}
 
-    monkeypatch.setattr(experiment, 'train', train)
-    row = nri_stability.train_seed(data, str(tmp_path / 'seed_1'), config, 0.6)
+    monkeypatch.setattr(training, 'train', train)
+    row = nri_stability.train_seed(data, str(tmp_path / 'seed_1'), config)
     assert (row['valid_losses'], row['test_loss'], row['status']) == ([2.0, 1.5], 1.75, 'OK')
     found = nri_stability.matrices([row])[0]
     edges = load_model(str(tmp_path / 'seed_1')).edge_probabilities(held.features)[..., 1]
     np.testing.assert_allclose(found[~np.eye(3, dtype=bool)], edges.mean(axis=0), atol=1e-5)
     assert row['edges'] == np.count_nonzero(edges.mean(axis=0) > 0.6)
-    assert nri_stability.compare([row, row], 0.6)['agreement']['mean'] == 1.0
+    assert nri_stability.compare([row, row])['agreement']['mean'] == 1.0
     nri_stability.draw(str(tmp_path / 'a.png'), {'seeds': [row, row]})
     assert (tmp_path / 'a.png').stat().st_size > 1000
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from pca_tools import files
-from reports.protocol import __main__ as command
-from reports.protocol import judge, tables
+from reports.protocol import judge, report, tables
 from tests.learning_to_simulate import models
 from tests.learning_to_simulate.soil_field import worlds
 from tests.reports.protocol.known import document
@@ -16,10 +15,7 @@ from tests.reports.protocol.known import document
 def test_figures_are_of_runs_that_count_and_a_refused_one_is_infinitely_wrong():
     summary = judge.summary(document())
     soil = summary['all']['soil field']['soil_mm']
-    assert soil == {
-        'runs': 2, 'mean': [1.5, None], 'median': [1.5, None], 'worst': [2.0, None], 'wins': [2, 1]
-    }  # fmt: skip
-    assert summary['all']['mlp_driven']['soil_mm']['wins'] == [1]
+    assert soil == {'runs': 2, 'mean': [1.5, None], 'median': [1.5, None]}
     assert summary['others']['soil field']['soil_mm']['mean'] == [9.0, 18.0]
     assert summary['others']['mlp_driven'] == {}  # it knows none of these runs
     assert summary['lift']['soil field']['force_relative_l2']['mean'] == [0.3, None]
@@ -34,10 +30,10 @@ def test_columns_hold_four_digits_and_say_what_was_refused():
 @pytest.mark.parametrize('given', ['a', 'a=', '=b', 'a=,'])
 def test_models_have_a_name_and_folders(given):
     with pytest.raises(ValueError, match='NAME=FOLDER'):
-        judge.methods_of([given])
+        judge.folders_of([given])
     with pytest.raises(ValueError, match='each name once'):
-        judge.methods_of(['a=/b', 'a=/c'])
-    assert judge.methods_of(['a=/b,/c']) == [judge.Method('a', ['/b', '/c'])]
+        judge.folders_of(['a=/b', 'a=/c'])
+    assert judge.folders_of(['a=/b,/c']) == {'a': ['/b', '/c']}
 
 
 def test_the_status_is_judged_by_the_errors_of_the_frames_that_it_flags():
@@ -69,7 +65,7 @@ def test_a_scene_with_a_soil_field_and_a_network_is_judged_on_the_same_runs(tmp_
         work_path, num_processes = str(tmp_path / 'work'), 2
         output_path = str(tmp_path / 'judged.json')
 
-    command.main(Values, [])
+    report.main(Values)
     found = files.read_json(Values.output_path)
     assert [run['case'] for run in found['runs']] == ['2', '5']
     methods = {m['name']: m['seeds'][0]['errors'] for m in found['methods']}
@@ -90,3 +86,39 @@ def test_a_scene_with_a_soil_field_and_a_network_is_judged_on_the_same_runs(tmp_
         other['force_relative_l2'], rel=1e-3
     )
     assert 'soil field' in tables.methods(Values.output_path)
+
+
+def test_other_runs_have_another_digest(tmp_path):
+    for name, text in (('a', 'one'), ('b', 'two')):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / 'test.tfrecord').write_text(text)
+    a, b = f'{tmp_path}/a', f'{tmp_path}/b'
+    found = [judge.digest(path, 'test') for path in (a, b, f'{a},{b}', f'{b},{a}')]
+    assert len(set(found)) == 4
+    (tmp_path / 'b' / 'test.tfrecord').write_text('one')
+    assert judge.digest(b, 'test') == found[0]
+
+
+def variant(cell, draft, surface=0):
+    return {
+        'force': [[draft, 0.0, 0.0]] * 3, 'surface': [[surface, surface]] * 2, 'cell_m': [cell] * 3
+    }  # fmt: skip
+
+
+def test_errors_are_against_cubic_cells_and_the_limit_of_fine_ones(tmp_path):
+    # A draft of 100 N that grows with the 1.5th power of the cell.
+    of = {cell: 100.0 * (1.0 + cell**1.5) for cell in (1.0, 1.5, 2.0)}
+    runs = {
+        'base': variant(1.0, of[1.0], 300),
+        'cubic': variant(1.0, 160.0),
+        'cells_1.5': variant(1.5, of[1.5]),
+        'cells_2': variant(2.0, of[2.0]),
+    }
+    path = tmp_path / 'ladder.json'
+    path.write_text(json.dumps({'cases': {'excavation:22': runs, 'wheel:122': {}}}))
+    found = judge.truth_errors('blade', str(path))
+    assert found['cases'] == ['excavation:22'] and found['surface_mm'] == [3.0]
+    assert found['force_relative_l2'] == [0.25]  # 200 N where cubic cells have 160
+    np.testing.assert_allclose(found['drawbar_relative_l2'], [1.0], rtol=1e-3)
+    with pytest.raises(KeyError):
+        judge.truth_errors('spoon', str(path))

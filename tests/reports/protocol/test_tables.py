@@ -30,23 +30,6 @@ def test_methods_stand_on_the_runs_that_all_know_beside_the_truth(path):
     assert own[header.index('surface near the tool, mm')] == 'over 2' and own[soil] == ''
 
 
-def test_kinds_are_those_of_one_method(path):
-    found = rows(tables.kinds(path, 'soil field'))
-    assert found['others'][:2] == ['1', '13.5'] and found['grid'][1] == '1.5'
-
-
 def test_bounds_count_the_runs_that_keep_them(path):
     (row,) = (r for name, r in rows(tables.bounds(path)).items() if name.startswith('blade'))
     assert row == ['50', '66.7', '25', '3']
-
-
-def test_what_ships_stands_beside_persistence(path):
-    found = rows(tables.shipped(path))
-    assert found['`excavation/mlp_driven`'][1:] == ['2.5', '1']
-    assert found['*excavation: persistence*'] == ['soil and force stay', '3', '1']
-
-
-def test_one_line_says_how_far_off_the_fields_are(path):
-    """Medians where a run was refused."""
-    found = tables.in_short(path, path)
-    assert "force by 20 %, its soil by 1.5 mm; a wheel's drawbar by 25 % (median)" in found

@@ -4,6 +4,7 @@ import dataclasses
 from functools import partial
 
 import numpy as np
+import tensorflow as tf
 
 from learning_to_simulate import connectivity_utils, reading_utils, registry
 from learning_to_simulate.native import model_data
@@ -13,7 +14,8 @@ from learning_to_simulate.subspace import method
 from learning_to_simulate.subspace.features import EMBEDDING_SIZE
 from learning_to_simulate.subspace.learned_simulator import Layout
 from reports import timing
-from reports.explain import product_count
+
+_TRANSPOSED = {'MatMul': 'transpose_a', 'BatchMatMulV2': 'adj_x'}
 
 
 @dataclasses.dataclass
@@ -60,7 +62,7 @@ class Explanation:
         group = groups[0].select(0)
         self.layout = layout = model.layout(group.n_rigid)
         inputs = self._add('all', model, group, layout)
-        self.mflop = product_count.plain_frame(simulator, layout, *inputs[:3])
+        self.mflop = plain_frame(simulator, layout, *inputs[:3])
         self.items = [
             *self._edges(model, group),
             *self._rigid_particles(model, data_path, metadata, group),
@@ -79,7 +81,7 @@ class Explanation:
     def _on_top(self, name, variant, model, group, layout):
         """An item that is switched off by another graph."""
         inputs = self._add(variant, model, group, layout)
-        mflop = product_count.plain_frame(model.simulator, layout, *inputs[:3])
+        mflop = plain_frame(model.simulator, layout, *inputs[:3])
         return Item(
             name,
             layout.n_edge - self.layout.n_edge,
@@ -197,3 +199,40 @@ def _first_output(function, inputs):
 
 def _weights(simulator):
     return sum(int(np.prod(v.shape)) for v in simulator.trainable_variables)
+
+
+def mflop(function, *arguments) -> float:
+    """MFLOP of `function(*arguments)`, counted in its traced graph: of the matrix products that
+    depend on its arguments, two for each multiply and add. Products of weights with weights are
+    done once, not per frame; work element by element is small beside products."""
+    graph = tf.function(function, autograph=False).get_concrete_function(*arguments).graph
+    captured = {tensor.name for tensor in graph.internal_captures}
+    moving = {tensor.name for tensor in graph.inputs} - captured
+    total = 0
+    for operation in graph.get_operations():
+        if any(tensor.name in moving for tensor in operation.inputs):
+            moving |= {tensor.name for tensor in operation.outputs}
+            total += _flop(operation)
+    return total / 1e6
+
+
+def _flop(operation):
+    if operation.type == 'Einsum':
+        labels = operation.get_attr('equation').decode().split('->')[0].split(',')
+        sizes = {}
+        for names, tensor in zip(labels, operation.inputs, strict=True):
+            sizes |= dict(zip(names, tensor.shape.as_list(), strict=True))
+        return 2 * int(np.prod(list(sizes.values())))
+    if operation.type not in _TRANSPOSED:
+        return 0
+    transposed = operation.get_attr(_TRANSPOSED[operation.type])
+    inner = operation.inputs[0].shape[-2 if transposed else -1]
+    return 2 * inner * operation.outputs[0].shape.num_elements()
+
+
+def plain_frame(simulator, layout, state, known, context) -> float:
+    """MFLOP of a frame of `LearnedSimulator.step`; `state` ... of `rollout.rollout_inputs`."""
+    coming = None if known is None else known.at(0)
+    if context is not None and context.shape.rank == 3:  # it changes in time
+        context = context[0]
+    return mflop(lambda *x: simulator.step(*x, layout), state, coming, context)

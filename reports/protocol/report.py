@@ -1,7 +1,7 @@
 """Judges methods on test runs: run by run, against baselines, beside the truth's own error.
 
-Train fits, valid chooses, test is only judged. Models are rolled out by `lts evaluate`, each in a
-process of its own; the ridge on the path is fitted here. Several folders of one method are
+Train fits, valid chooses, test is only judged. Models are rolled out as by `lts evaluate`, in
+processes of one thread; the ridge on the path is fitted here. Several folders of one method are
 trainings of it: its figures are mean and range.
 
 Examples:
@@ -21,7 +21,6 @@ import json
 from absl import flags
 
 from pca_tools import files
-from reports import command
 from reports.protocol import judge, tables
 
 
@@ -36,18 +35,24 @@ def define_flags() -> None:
     flags.DEFINE_integer('num_processes', 1, 'Models rolled out at a time.', 1)
 
 
-def main(values, _) -> None:
-    document = judge.judge(values.data_path, values.model, values.work_path, values.num_processes)
+def main(values) -> None:
+    methods = judge.folders_of(values.model)
+    write(methods, values)
+
+
+def write(methods: dict[str, list[str]], values) -> None:
+    """Judges methods (of `judge.folders_of`), writes the document and prints its tables.
+
+    Args:
+      methods: name -> folders of its models.
+      values: of the flags, all but `model`.
+    """
+    path = values.output_path
+    document = judge.judge(values.data_path, methods, values.work_path, values.num_processes)
     # On one line: every run of every training is in it.
-    files.write_text(values.output_path, json.dumps(document, separators=(',', ':')) + '\n')
-    print(tables.methods(values.output_path))
+    files.write_text(path, json.dumps(document, separators=(',', ':')) + '\n')
+    print(tables.methods(path))
     for method in document['methods']:
         if 'bounds' in method['seeds'][0]:
-            print(
-                f'\n{method["name"]}, by kind\n{tables.kinds(values.output_path, method["name"])}'
-            )
-    print(f'\n{tables.bounds(values.output_path)}\nwrote {values.output_path}')
-
-
-if __name__ == '__main__':
-    command.start(define_flags, main)
+            print(f'\n{method["name"]}, by kind\n{tables.kinds(path, method["name"])}')
+    print(f'\n{tables.bounds(path)}\nwrote {path}')

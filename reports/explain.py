@@ -18,7 +18,7 @@ Examples:
 from absl import flags
 
 from pca_tools import files
-from reports import command, markdown, record
+from reports import markdown, record
 
 
 def table(values: dict) -> str:
@@ -37,21 +37,16 @@ def define_flags() -> None:
     flags.DEFINE_string('model_path', None, 'Trained model.', required=True)
     flags.DEFINE_string('data_path', None, 'Dataset folder of the model.', required=True)
     flags.DEFINE_integer('rounds', 30, 'Timed rollouts of each variant.', 1)
-    flags.DEFINE_integer('num_threads', 1, 'CPU threads of TensorFlow.', 1)
     flags.DEFINE_string('output_path', None, 'JSON file for the items and all times.')
 
 
-def main(values, _) -> None:
+def main(values) -> None:
     import tensorflow as tf
 
-    from reports.explain.explanation import Explanation
+    from reports.explanation import Explanation
 
     tf.get_logger().setLevel('ERROR')  # It takes the variants for one function, traced again.
     result = Explanation(values.model_path, values.data_path).measure(values.rounds)
     print(table(result))
     if values.output_path:
-        files.write_json(values.output_path, record.provenance(values.num_threads) | result)
-
-
-if __name__ == '__main__':
-    command.start(define_flags, main)
+        files.write_json(values.output_path, record.provenance(1) | result)
