@@ -23,9 +23,6 @@ particles where the dataset holds a sample of them, else it is rebuilt from the 
 subspace.npz; without one the body and the curves are drawn.
 """
 
-from __future__ import annotations
-
-import functools
 import os
 import time
 import zipfile
@@ -168,7 +165,7 @@ def render_frames(
         written.append(path)
         if name == 'png':
             strip = rollout_figures.strip_figure(frames, view, drawn.tolist(), _DPI[name], beside)
-            files.write_atomically(path, functools.partial(strip.savefig, format='png'))
+            movie_files.write_png(path, strip)
         else:
             figure = rollout_figures.AnimatedFigure(frames, view, color_by, _DPI[name], beside)
             pixels = (figure.draw(int(i)) for i in progress(drawn, name))

@@ -9,8 +9,6 @@ Records alone hold mode scores. The modes are orthonormal, so the squared error 
 the last term as the converter stated it; where nobody did, the error is one in the subspace.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import os
 from typing import Any
