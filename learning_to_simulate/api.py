@@ -2,7 +2,7 @@
 
 import dataclasses
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -48,9 +48,6 @@ class Split(Sequence):
         if not -len(self) <= index < len(self):
             raise IndexError(f'{self.name} of {self.folder} has {len(self)} runs, not {index}')
         return Run(self, index % len(self))
-
-    def __iter__(self) -> Iterator[Run]:
-        return (Run(self, i) for i in range(len(self)))
 
 
 class Dataset:

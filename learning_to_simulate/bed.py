@@ -42,25 +42,20 @@ def flat_surface(points, axes: Axes, kept_spacing: float, spacing: float) -> flo
     return float(np.median(surface_profile(points, places, axes, kept_spacing, spacing)))
 
 
-def solver_spacing(case: dict) -> float | None:
-    """Spacing (m) of the solver's particles in a case of the metadata; None if it does not say."""
-    packing = case.get('packing') or {}
-    if 'cell_size_m' not in case or 'particles_per_cell' not in packing:
-        return None
-    return float(case['cell_size_m'] / packing['particles_per_cell'] ** (1 / 3))
-
-
 def kept_spacing(points) -> float:
     """Spacing (m) of particles [N, 3] that fill a box."""
     return float((np.prod(np.ptp(points, axis=0)) / len(points)) ** (1 / 3))
 
 
 def spacings(points, metadata: dict) -> tuple[float, float]:
-    """Spacing (m) of the particles [N, 3] of a bed and of those of the solver, as the metadata of
-    their dataset say, or the same."""
+    """Spacing (m) of the particles [N, 3] of a bed and of those of the solver, as the first case of
+    the metadata of their dataset says, or the same."""
     kept = kept_spacing(points)
     first = next(iter(metadata.get('cases', {}).get('train', [])), {})
-    return kept, solver_spacing(first) or kept
+    packing = first.get('packing') or {}
+    if 'cell_size_m' not in first or 'particles_per_cell' not in packing:
+        return kept, kept
+    return kept, float(first['cell_size_m'] / packing['particles_per_cell'] ** (1 / 3))
 
 
 def height_of_dataset(folder: str, metadata: dict, axes: Axes) -> float | None:

@@ -22,19 +22,6 @@ from pca_tools.storage import folder_lock
 METRICS_FILE = 'metrics.json'
 
 
-def roll_out_all(roll_out, groups, progress=iter) -> list:
-    """Rolls out every run of a list of `RunGroup` on its own; `progress` wraps the runs (`tqdm`).
-
-    Returns:
-      list of (record index, one-run `RunGroup`, its `Rollout`), sorted by record.
-    """
-    runs = sorted(
-        ((int(g.record[i]), g.select(i)) for g in groups for i in range(len(g.position))),
-        key=lambda item: item[0],
-    )
-    return [(record, group, roll_out(group)) for record, group in progress(runs)]
-
-
 class Evaluator:
     """Keeps the compiled rollouts of one model, so that evaluation during training compiles once.
     Projection errors are used where the `metadata` of the dataset state them."""
@@ -52,8 +39,15 @@ class Evaluator:
         return roll_out(self._functions[key], group)
 
     def run(self, groups, split: str, progress=iter):
-        """Results of `roll_out_all` and metrics of `summarise` for the runs of a split."""
-        results = roll_out_all(self.roll_out, groups, progress)
+        """Rolls out every run of a list of `RunGroup` on its own; `progress` wraps the runs.
+
+        Returns:
+          list of (record index, one-run `RunGroup`, its `Rollout`), sorted by record; metrics of
+          `summarise`.
+        """
+        runs = [(int(g.record[i]), g.select(i)) for g in groups for i in range(len(g.position))]
+        runs.sort(key=lambda run: run[0])
+        results = [(record, one, self.roll_out(one)) for record, one in progress(runs)]
         return results, summarise(results, self._model, self._metadata, split)
 
 

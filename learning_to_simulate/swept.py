@@ -233,11 +233,8 @@ def swept_area(grid: SweptGrid, state: SweptBed) -> np.ndarray:
 
 
 def profile_at(grid: SweptGrid, state: SweptBed, u) -> np.ndarray:
-    """Deepest cut so far at places u [B, ...] (m), linear between bins; height in m."""
-    places = np.asarray(u, np.float64)
-    offset = places - state.origin.reshape(-1, *[1] * (places.ndim - 1))
-    flat = offset.reshape(len(places), -1)
-    return channels_at(grid, state.profile[..., None], flat)[..., 0].reshape(places.shape)
+    """Deepest cut so far at places u [B, P] (m), linear between bins; height in m."""
+    return channels_at(grid, state.profile[..., None], u - state.origin[:, None])[..., 0]
 
 
 def channels_at(grid: SweptGrid, values, offset) -> np.ndarray:

@@ -61,15 +61,12 @@ class Soil:
 
     def particles(self) -> np.ndarray:
         """float32 [N, D], m; ValueError without a subspace."""
-        return self._decoded_by().particles(self.modes)
+        if self._decoder is None:
+            raise ValueError('particles need a subspace: the model has none')
+        return self._decoder.particles(self.modes)
 
     def height_map(self, nx: int, nz: int) -> np.ndarray:
         """float32 [nx, nz] heights of the surface over the bed at rest, along the drive and across
         it, m: see `surface`."""
-        decoder = self._decoded_by()
-        return surface(decoder.particles(self.modes), decoder.extent, decoder.up_axis, nx, nz)
-
-    def _decoded_by(self):
-        if self._decoder is None:
-            raise ValueError('particles need a subspace: the model has none')
-        return self._decoder
+        points, decoder = self.particles(), self._decoder
+        return surface(points, decoder.extent, decoder.up_axis, nx, nz)

@@ -223,6 +223,7 @@ class Start:
 
     Attributes:
       body, kept: particles of the body in its own frame, and which are nodes.
+      read: of `poses.PoseReader`.
       pose: float64 [7].
       velocity: float64 [6], m/s and rad/s.
       context: float64 [C] or None.
@@ -246,13 +247,9 @@ class Start:
         self.context = context
         self.body, self.kept = starts.body[self._index], starts.kept[self._index]
         up = scene.up_axis
-        self._reader = poses.PoseReader(up, starts.pose[self._index, 2 if up != 2 else 1])
-        self.pose = starts.pose[self._index] if pose is None else self._reader.read(pose)
-        self.velocity = self._reader.read_velocity(velocity)
-
-    def read(self, pose) -> np.ndarray:
-        """As `poses.PoseReader.read`."""
-        return self._reader.read(pose)
+        self.read = poses.PoseReader(up, starts.pose[self._index, 2 if up != 2 else 1]).read
+        self.pose = starts.pose[self._index] if pose is None else self.read(pose)
+        self.velocity = poses.read_velocity(velocity)
 
     def read_context(self, context) -> np.ndarray:
         """float64 [C] of a context [C] or {name: value}; ValueError for a scene without one, other
