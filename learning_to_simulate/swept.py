@@ -16,6 +16,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from learning_to_simulate.live.poses import numbers
+
 EDGE_RADIUS = 0.014  # of the solver's blade: half its thickness, m
 TINY = 1e-37  # less than any length, m
 
@@ -112,13 +114,9 @@ def start(grid: SweptGrid, position, surface) -> SweptBed:
     Raises:
       ValueError: shapes that do not fit, or values that are not finite.
     """
-    position = checked('position', position, (None, 2))
+    position = numbers('position', position, (None, 2))
     shape = len(position), len(grid.offsets)
-    if np.ndim(surface):
-        surface = checked('surface', surface, shape)
-    elif not np.isfinite(surface):
-        raise ValueError(f'surface is {surface}')
-    surface = np.broadcast_to(np.asarray(surface, np.float64), shape).copy()
+    surface = np.broadcast_to(numbers('surface', surface, (), shape), shape).copy()
     # Nothing was passed yet: all that counts as `forget` behind.
     state = SweptBed(
         origin=position[:, 0],
@@ -141,7 +139,7 @@ def advance(grid: SweptGrid, state: SweptBed, position, dt) -> SweptBed:
         reaches beyond the bins.
     """
     check_time(dt)
-    position = checked('position', position, state.position.shape)
+    position = numbers('position', position, state.position.shape)
     grid.check_within(position[:, 0] - state.origin, grid.radius)
     return _cut(grid, state, position, dt)
 
@@ -150,19 +148,6 @@ def check_time(dt) -> None:
     """Raises ValueError for a duration (s) that is not positive and finite."""
     if not 0 < dt < np.inf:
         raise ValueError(f'a frame must last longer than 0 s, got {dt}: time does not go back')
-
-
-def checked(name: str, values, shape) -> np.ndarray:
-    """float64 values of a shape, None for any length; ValueError for another shape, or values that
-    are not finite."""
-    values = np.asarray(values, np.float64)
-    if values.ndim != len(shape) or any(n not in (None, m) for n, m in zip(shape, values.shape)):
-        wanted = ', '.join('B' if n is None else str(n) for n in shape)
-        raise ValueError(f'{name} has shape {values.shape}, [{wanted}] was expected')
-    if not np.isfinite(values).all():
-        tool = int(np.argwhere(~np.isfinite(values))[0][0])
-        raise ValueError(f'{name} of tool {tool} is not finite: {values[tool]}')
-    return values
 
 
 def _cut(grid, state, position, dt):

@@ -142,10 +142,6 @@ class Stepper:
     def dt(self) -> float:
         return self.scene.dt
 
-    @property
-    def cases(self) -> list:
-        return [values.get('case') for values in self.starts.cases]
-
     def _of_size(self, n_rigid):
         if n_rigid not in self._sizes:
             model, scene = self._model, self.scene
@@ -322,12 +318,6 @@ class Stepper:
         if self._last is None:
             raise ValueError('call start() first')
         return self._last
-
-    def body(self, pose) -> np.ndarray:
-        """float64 [R', 3], m: all particles of the body at a pose, for drawing; raises before
-        `start`."""
-        self._newest()
-        return poses.placed(self._start.body, self._start.read(pose))
 
 
 @contextlib.contextmanager
