@@ -11,7 +11,7 @@ import numpy as np
 import sonnet as snt
 import tensorflow as tf
 
-from learning_to_simulate import known_shapes
+from learning_to_simulate import checkpoints
 from nri import losses, networks
 from nri.config import MAX_NODES, NriConfig, log_prior
 from nri.networks import Decoder, Encoder, unroll
@@ -265,7 +265,7 @@ def load_model(path: str) -> NriModel:
     weights, stored = _stored_weights(path)
     try:
         # What a damaged config asks for is not built unless the weights have its shapes.
-        with known_shapes.only((w.shape for w in stored.values()), weights):
+        with checkpoints.only_shapes((w.shape for w in stored.values()), weights):
             config = NriConfig(**values['config'])
             keys = 'node_names', 'offset', 'scale', 'data_digest'
             model = NriModel(config, *(values[key] for key in keys))

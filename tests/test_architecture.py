@@ -39,7 +39,7 @@ MAY_IMPORT = {
         'learning_to_simulate.command',
         'learning_to_simulate.connectivity_utils',
         'learning_to_simulate.subspace.edge_lists',
-        'learning_to_simulate.known_shapes',
+        'learning_to_simulate.checkpoints',
         'learning_to_simulate.scene',
     ),
     'reports': ('learning_to_simulate', 'mpm', 'nri', 'pca_tools'),
@@ -47,7 +47,7 @@ MAY_IMPORT = {
 # The main package from the ground up: a module imports those of its own line and of lines above,
 # inside functions too. The longest name that fits says which line a module is on.
 LAYERS = (
-    ('_version', 'command', 'scene', 'known_shapes', 'metrics', 'config',
+    ('_version', 'command', 'scene', 'metrics', 'config',
      'soil_truth', 'rendering', 'shipped', 'error_bound', 'axes', 'swept', 'bed', 'live.poses'),
     ('render_rollout', 'connectivity_utils', 'reading_utils', 'normalization', 'checkpoints',
      'registry'),
