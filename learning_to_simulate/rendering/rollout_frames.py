@@ -323,10 +323,8 @@ def _metadata(path: str, arrays: dict[str, np.ndarray]) -> dict[str, Any]:
         'dt': scene.dt,
         'mode_number': scene.n_modes,
         'n_soil': scene.n_soil,
-        'scene': {
-            'name': scene.name, 'up_axis': scene.up_axis, 'rigid_motion': str(scene.rigid_motion),
-        },
-    }  # fmt: skip
+        'scene': scene.to_json(),
+    }
 
 
 def _split_nodes(path, arrays, metadata) -> tuple[int, bool]:

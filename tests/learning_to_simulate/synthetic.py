@@ -4,7 +4,7 @@ import os
 
 import numpy as np
 
-from pca_tools import dataset, files, packed_runs, packing, particles, subspace
+from pca_tools import dataset, files, packed_runs, packing, particles, statistics, subspace
 
 N_MODES, N_FRAMES, N_SOIL = 3, 40, 50
 RADIUS = 0.1
@@ -83,13 +83,6 @@ def write_dataset(
             for i in range(count)
         ]
         dataset.write_split(dataset.split_path(str(folder), split), runs[split])
-    train = runs['train']
-    velocity = np.concatenate(
-        [np.diff(r.position[:, r.n_rigid :], axis=0).reshape(-1, 3) for r in train]
-    )
-    acceleration = np.concatenate(
-        [np.diff(r.position[:, r.n_rigid :], n=2, axis=0).reshape(-1, 3) for r in train]
-    )
     metadata = {
         'bounds': [[0.0, 1.0]] * 3,
         'sequence_length': N_FRAMES - 1,
@@ -108,15 +101,7 @@ def write_dataset(
             'up_axis': 1,
         },
     }
-    for name, values in (('vel', velocity), ('acc', acceleration)):
-        metadata |= {f'{name}_mean': values.mean(0).tolist(), f'{name}_std': values.std(0).tolist()}
-    if force:
-        values = np.concatenate([r.force for r in train])
-        metadata['rigid_body_force_mean'] = values.mean(0).tolist()
-        metadata['rigid_body_force_std'] = values.std(0).tolist()
-    if context:
-        values = np.concatenate([r.step_context for r in train])
-        metadata |= {'context_mean': values.mean(0).tolist(), 'context_std': values.std(0).tolist()}
+    metadata |= statistics.motion_statistics(runs['train'])
     files.write_json(os.path.join(folder, 'metadata.json'), metadata)
     return str(folder)
 
@@ -147,8 +132,14 @@ def write_particles(folder, stride=4):
     for split in ('valid', 'test'):
         count = len(dataset.read_split(folder, split))
         soil = [soil_of(folder, split, i)[::stride, chosen] for i in range(count)]
-        packed = [(packing.pack_steps(p, soil[0][0], 1e-7), len(p)) for p in soil]
-        path = particles.sample_path(folder, split)
-        rest, indices = soil[0][0], chosen.astype(np.int32)
-        packed_runs.write_runs(path, packed, rest, stride, 1e-7, indices=indices)
+        write_sample(folder, split, soil, chosen, stride)
     return chosen
+
+
+def write_sample(folder, split, soil, chosen, stride):
+    """Writes the particle sample of a split: every `stride`-th frame of each run [T', P, 3], and
+    which particles these are."""
+    rest = soil[0][0]
+    packed = [(packing.pack_steps(run, rest, 1e-7), len(run)) for run in soil]
+    path, indices = particles.sample_path(folder, split), np.asarray(chosen, np.int32)
+    packed_runs.write_runs(path, packed, rest, stride, 1e-7, indices=indices)

@@ -8,12 +8,13 @@ import os
 
 import numpy as np
 
-from pca_tools import files, packed_runs, packing, particles
+from pca_tools import files
 from pca_tools import subspace as subspace_lib
 
 DT = 1 / 60
 N_GIVEN = 6
 N_RIGID = 20
+N_FRAMES, N_MODES = 60, 8
 
 
 def bed(n_x: int, n_y: int, n_z: int, seed: int = 0) -> np.ndarray:
@@ -50,9 +51,7 @@ def pushed_soil(start: np.ndarray, body: np.ndarray) -> np.ndarray:
     return np.array(frames)
 
 
-def write(
-    folder: str, n_frames: int = 60, n_modes: int = 8, size=(20, 6, 12), forces: bool = True
-) -> tuple[str, str, np.ndarray]:
+def write(folder: str) -> tuple[str, str, np.ndarray]:
     """Writes a dataset folder with `subspace.npz` and a rollout of it.
 
     Returns:
@@ -60,17 +59,17 @@ def write(
     """
     data_path = os.path.join(folder, 'dataset')
     os.makedirs(data_path, exist_ok=True)
-    time = DT * np.arange(n_frames)
+    time = DT * np.arange(N_FRAMES)
     body = blade(time, depth=0.08, speed=0.5 / time[-1])
-    soil = pushed_soil(bed(*size), body)
-    space = subspace_lib.fit([soil], n_modes)
+    soil = pushed_soil(bed(20, 6, 12), body)
+    space = subspace_lib.fit([soil], N_MODES)
     space.save(os.path.join(data_path, 'subspace.npz'))
 
     rng = np.random.default_rng(1)
     truth = np.concatenate([body, space.encode(soil)], axis=1)
     drift = np.zeros_like(truth)
-    growth = np.clip(np.arange(n_frames) - N_GIVEN + 1, 0, None) / n_frames
-    drift[:, N_RIGID:] = growth[:, None, None] * rng.normal(0, 0.12, (n_modes, 3))
+    growth = np.clip(np.arange(N_FRAMES) - N_GIVEN + 1, 0, None) / N_FRAMES
+    drift[:, N_RIGID:] = growth[:, None, None] * rng.normal(0, 0.12, (N_MODES, 3))
     prediction = truth + drift
     parameters = [
         {'case': 125, 'depth_m': 0.08, 'speed_m_s': 0.1, 'angle_deg': 10.0, 'seed': 3, 'soil': {}},
@@ -79,11 +78,11 @@ def write(
     metadata = {
         'dt': DT,
         'bounds': [[0.0, 1.2], [0.0, 0.8], [0.0, 0.8]],
-        'sequence_length': n_frames - 1,
+        'sequence_length': N_FRAMES - 1,
         'default_connectivity_radius': 0.025,
         'dim': 3,
         **{f'{name}_{end}': [1.0] * 3 for name in ('vel', 'acc') for end in ('mean', 'std')},
-        'mode_number': n_modes,
+        'mode_number': N_MODES,
         'n_soil': space.n_soil,
         'scene': {'name': 'excavation', 'rigid_motion': 'prescribed'},
         'pca': {'digest': space.digest},
@@ -94,26 +93,16 @@ def write(
         'initial_positions': truth[:N_GIVEN].astype(np.float32),
         'predicted_rollout': prediction[N_GIVEN:].astype(np.float32),
         'ground_truth_rollout': truth[N_GIVEN:].astype(np.float32),
-        'particle_types': np.array([3] * N_RIGID + [6] * n_modes, np.int64),
+        'particle_types': np.array([3] * N_RIGID + [6] * N_MODES, np.int64),
         'metadata': np.array(json.dumps(metadata)),
     }
-    if forces:
-        smooth = np.stack([120 * (1 - np.exp(-3 * time)), -60 * (1 - np.exp(-5 * time)), 0 * time])
-        force = smooth.T + rng.normal(0, [8, 8, 0], (n_frames, 3))
-        arrays |= {
-            'initial_forces': force[:N_GIVEN].astype(np.float32),
-            'ground_truth_forces': force[N_GIVEN:].astype(np.float32),
-            'predicted_forces': 0.92 * smooth.T[N_GIVEN:].astype(np.float32),
-        }
+    smooth = np.stack([120 * (1 - np.exp(-3 * time)), -60 * (1 - np.exp(-5 * time)), 0 * time])
+    force = smooth.T + rng.normal(0, [8, 8, 0], (N_FRAMES, 3))
+    arrays |= {
+        'initial_forces': force[:N_GIVEN].astype(np.float32),
+        'ground_truth_forces': force[N_GIVEN:].astype(np.float32),
+        'predicted_forces': 0.92 * smooth.T[N_GIVEN:].astype(np.float32),
+    }
     rollout_path = os.path.join(folder, 'rollout_test_0.npz')
     files.write_npz(rollout_path, **arrays)
     return rollout_path, data_path, soil
-
-
-def write_sample(data_path: str, soil: np.ndarray, chosen: np.ndarray) -> None:
-    """Writes the particle sample of the test split: [N'] chosen ones of soil [T, N, 3], every
-    fourth frame."""
-    packed = packing.pack_steps(soil[::4, chosen], soil[0, chosen], 1e-6), len(soil[::4])
-    path = particles.sample_path(data_path, 'test')
-    indices = np.asarray(chosen, np.int32)
-    packed_runs.write_runs(path, [packed], soil[0, chosen], 4, 1e-6, indices=indices)

@@ -18,11 +18,10 @@ from learning_to_simulate.rendering import (
 from learning_to_simulate.rendering.rollout_frames import PREDICTION, TRUTH
 from pca_tools import files
 from pca_tools.subspace import Subspace
-from tests.learning_to_simulate import synthetic_rollout
-from tests.learning_to_simulate.synthetic_rollout import DT, N_GIVEN, N_RIGID
+from tests.learning_to_simulate import synthetic, synthetic_rollout
+from tests.learning_to_simulate.synthetic_rollout import DT, N_FRAMES, N_GIVEN, N_RIGID
 from tests.pca_tools.commands import call_command
 
-N_FRAMES = 60
 N_SHOWN = N_FRAMES - N_GIVEN
 NODES = 'initial_positions', 'predicted_rollout', 'ground_truth_rollout'
 
@@ -30,7 +29,7 @@ NODES = 'initial_positions', 'predicted_rollout', 'ground_truth_rollout'
 @pytest.fixture(scope='module')
 def made(tmp_path_factory):
     """(rollout path, dataset folder, particles before any projection)."""
-    return synthetic_rollout.write(str(tmp_path_factory.mktemp('rollout')), N_FRAMES)
+    return synthetic_rollout.write(str(tmp_path_factory.mktemp('rollout')))
 
 
 @pytest.fixture(scope='module')
@@ -101,7 +100,7 @@ def test_particles_and_their_errors(made, tmp_path, change, sampled):
     if sampled:
         data_path, chosen = str(tmp_path / 'data'), np.arange(0, space.n_soil, 5)
         shutil.copytree(made[1], data_path)
-        synthetic_rollout.write_sample(data_path, made[2], chosen)
+        synthetic.write_sample(data_path, 'test', [made[2][::4, chosen]], chosen, 4)
         soil[TRUTH], numbers, cut = made[2], np.arange(8, N_FRAMES, 4), 0.0
     soil = {which: x[numbers][:, chosen] for which, x in soil.items()}
     frames = rollout_frames.load(made[0], data_path, 'm')

@@ -16,7 +16,7 @@ from tests.pca_tools.test_formats import vtk_array
 
 def test_files_hold_the_rollout(tmp_path):
     """Every tenth frame, with its time; arrays of one of them."""
-    made = synthetic_rollout.write(str(tmp_path), 60)[:2]
+    made = synthetic_rollout.write(str(tmp_path))[:2]
     out = str(tmp_path / 'vtk')
     frames, written = render_rollout.render(*made, out, formats=['vtp'], step_stride=10)
     folder = os.path.join(out, 'rollout_test_0_vtk')
