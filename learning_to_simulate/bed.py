@@ -35,34 +35,20 @@ def surface_profile(points, places, axes: Axes, kept_spacing, spacing):
     return np.interp(places, centres, np.nanmedian(top[there], axis=1)) + spacing / 2
 
 
-def flat_surface(points, axes: Axes, kept_spacing: float, spacing: float) -> float:
-    """Height of a flat bed, m: the median of its profile; arguments as in `surface_profile`."""
-    u = axes.plane(np.asarray(points, np.float64))[:, 0]
-    places = np.arange(u.min() + kept_spacing, u.max(), 2.0 * kept_spacing)
-    return float(np.median(surface_profile(points, places, axes, kept_spacing, spacing)))
-
-
-def kept_spacing(points) -> float:
-    """Spacing (m) of particles [N, 3] that fill a box."""
-    return float((np.prod(np.ptp(points, axis=0)) / len(points)) ** (1 / 3))
-
-
-def spacings(points, metadata: dict) -> tuple[float, float]:
-    """Spacing (m) of the particles [N, 3] of a bed and of those of the solver, as the first case of
-    the metadata of their dataset says, or the same."""
-    kept = kept_spacing(points)
-    first = next(iter(metadata.get('cases', {}).get('train', [])), {})
-    packing = first.get('packing') or {}
-    if 'cell_size_m' not in first or 'particles_per_cell' not in packing:
-        return kept, kept
-    return kept, float(first['cell_size_m'] / packing['particles_per_cell'] ** (1 / 3))
-
-
 def height_of_dataset(folder: str, metadata: dict, axes: Axes) -> float | None:
-    """Height (m) of the flat bed that the runs of a dataset start from, read from the particles of
-    its subspace; None where it has none."""
+    """Height (m) of the flat bed that the runs of a dataset start from, the median of its profile,
+    read from the particles of its subspace; None where it has none. The spacing of the solver's
+    particles is that of the first case of the metadata, or where it says none that of those."""
     path = os.path.join(folder, 'subspace.npz')
     if not os.path.exists(path):
         return None
     points = subspace.Subspace.load(path).initial
-    return flat_surface(points, axes, *spacings(points, metadata))
+    # Of particles that fill a box.
+    kept = spacing = float((np.prod(np.ptp(points, axis=0)) / len(points)) ** (1 / 3))
+    first = next(iter(metadata.get('cases', {}).get('train', [])), {})
+    packing = first.get('packing') or {}
+    if 'cell_size_m' in first and 'particles_per_cell' in packing:
+        spacing = float(first['cell_size_m'] / packing['particles_per_cell'] ** (1 / 3))
+    u = axes.plane(np.asarray(points, np.float64))[:, 0]
+    places = np.arange(u.min() + kept, u.max(), 2.0 * kept)
+    return float(np.median(surface_profile(points, places, axes, kept, spacing)))

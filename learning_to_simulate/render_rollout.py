@@ -42,17 +42,6 @@ FORMATS = ('png', 'gif', 'mp4', 'vtp')
 _DPI = {'png': 200, 'gif': 100, 'mp4': 150}
 
 
-def draw(rollout, path: str, step_stride: int = 3, **options) -> list[str]:
-    """Draws a `paths.SoilRollout` into a file .png, .gif or .mp4, every step_stride-th frame.
-
-    Raises:
-        ValueError: another ending, or as `render_frames`, whose `color_by` and `plane` are taken.
-    """
-    target, kind = target_and_format(path)
-    frames = rollout_frames.of_rollout(rollout, step_stride)
-    return render_frames(frames, target, [kind], step_stride, **options)
-
-
 def draw_terrain(arrays, path: str, name: str, **options) -> None:
     """Draws the arrays of a `soil_field.rollout.TerrainRollout` of a name into a file .png, .gif or
     .mp4; options of `terrain_views.draw`. ValueError: another ending, or a package for pictures is

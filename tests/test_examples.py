@@ -26,6 +26,14 @@ def _example(name):
     return module
 
 
+def page(name, number=0):
+    """The values that a block of Python of a document leaves."""
+    text = (ROOT / name).read_text(encoding='utf-8')
+    values = {}
+    exec(re.findall(r'```python\n(.*?)```', text, re.S)[number], values)
+    return values
+
+
 def test_live_stepping(capsys):
     frame = _example('live_stepping').main(0.5)
     assert frame.status == 'ok' and frame.force[0] > 0
@@ -54,8 +62,6 @@ def test_ten_trenches_keep_their_volume(tmp_path, capsys):
 def test_lines_of_the_python_page(tmp_path, monkeypatch):
     """As written, but for the length of the training and the number of judged runs."""
     pytest.importorskip('matplotlib')
-    text = (ROOT / 'docs' / 'python.md').read_text(encoding='utf-8')
-    code = re.search(r'```python\n(.*?)```', text, re.S)[1]
     monkeypatch.chdir(tmp_path)
     preset, judge = api.preset, evaluation.SoilEvaluator.run
     monkeypatch.setattr(
@@ -64,25 +70,20 @@ def test_lines_of_the_python_page(tmp_path, monkeypatch):
     short = {'num_steps': 2, 'unroll_steps': 0}
     monkeypatch.setattr(api, 'preset', lambda name, **fields: preset(name, **fields | short))
     assert lts.preset('pcg').num_steps == 2
-    values = {}
-    exec(code, values)
+    values = page('docs/python.md')
     assert values['frame'].status == values['rollout'].status == 'ok'
     assert {p.name for p in tmp_path.iterdir()} == {'dig.gif', 'dig.npz', 'my_model'}
     assert lts.load('my_model').config.latent_size == 32
 
 
 def test_lines_of_the_front_page():
-    text = (ROOT / 'README.md').read_text(encoding='utf-8')
-    values = {}
-    exec(re.search(r'```python\n(.*?)```', text, re.S)[1], values)
+    values = page('README.md')
     assert values['frame'].status == 'ok' and values['frame'].force[0] > 0
 
 
 def test_wrench_with_z_up_is_that_about_the_centre_of_mass():
     """The code of the page on axes, against the formula in the axes of this project."""
-    text = (ROOT / 'docs' / 'axes.md').read_text(encoding='utf-8')
-    values = {}
-    exec(re.search(r'```python\n(.*?)```', text, re.S)[1], values)
+    values = page('docs/axes.md')
     turn, (place, centre) = values['TO_Z_UP'], np.random.default_rng(0).normal(size=(2, 3))
     rotation = Rotation.from_euler('z', -20, degrees=True)
     w_last = rotation.as_quat()
@@ -108,9 +109,7 @@ def test_a_machine_of_ones_own_by_the_lines_of_the_front_page(tmp_path, monkeypa
       <site name="edge"/></body></worldbody></mujoco>"""
     (tmp_path / 'machine.xml').write_text(slide, encoding='utf-8')
     monkeypatch.chdir(tmp_path)
-    text = (ROOT / 'README.md').read_text(encoding='utf-8')
-    values = {}
-    exec(re.findall(r'```python\n(.*?)```', text, re.S)[1], values)
+    values = page('README.md', 1)
     assert values['soil'].judgement.status == 'ok'
     lowest = values['data'].xpos[1, 2] - lts.Blade().radius
     assert 0.23 < lowest < 0.249  # it stands in the soil
@@ -119,9 +118,7 @@ def test_a_machine_of_ones_own_by_the_lines_of_the_front_page(tmp_path, monkeypa
 
 def test_lines_of_the_mujoco_page():
     pytest.importorskip('mujoco')
-    text = (ROOT / 'docs' / 'mujoco.md').read_text(encoding='utf-8')
-    values = {}
-    exec(re.search(r'```python\n(.*?)```', text, re.S)[1], values)
+    values = page('docs/mujoco.md')
     assert values['soil'].judgement.status == 'ok'
     assert values['ground'].heights.min() < 0.249 < 0.25 < values['ground'].heights.max()
 

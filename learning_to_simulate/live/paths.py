@@ -102,13 +102,16 @@ class SoilRollout(Judged):
             arrays['particle_indices'] = self.soil_truth.indices
         files.write_npz(path, **arrays)
 
-    def render(self, path: str, **options) -> None:
-        """Draws the rollout into a file .png, .gif or .mp4; options `step_stride`, `color_by` and
-        `plane` of `render_rollout.render_frames`. ValueError: another ending, or a package for
-        pictures is missing (pip install .[viz])."""
+    def render(self, path: str, step_stride: int = 3, **options) -> None:
+        """Draws the rollout into a file .png, .gif or .mp4, every step_stride-th frame; options
+        `color_by` and `plane` of `render_rollout.render_frames`. ValueError: another ending, or a
+        package for pictures is missing (pip install .[viz])."""
         from learning_to_simulate import render_rollout
+        from learning_to_simulate.rendering import rollout_frames
 
-        render_rollout.draw(self, path, **options)
+        target, kind = render_rollout.target_and_format(path)
+        frames = rollout_frames.of_rollout(self, step_stride)
+        render_rollout.render_frames(frames, target, [kind], step_stride, **options)
 
 
 def roll_out(stepper, path, velocity=None, case=None, context=None) -> SoilRollout:
