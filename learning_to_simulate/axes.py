@@ -77,16 +77,9 @@ class Axes:
 
 
 def blade_pose(body: np.ndarray, axes: Axes) -> tuple[np.ndarray, np.ndarray]:
-    """Pose of a flat blade.
-
-    Args:
-      body: [S, T, R, D] particles of its face, m.
-      axes: of the scene.
-
-    Returns:
-      [S, T, 2] u and y of the middle of its lowest row of particles, m, and [S, T] lean in rad:
-      positive where the top lies behind. A body of one row has lean 0.
-    """
+    """Pose of a flat blade of particles [S, T, R, D] of its face, m: [S, T, 2] u and y of the
+    middle of its lowest row of particles, m, and [S, T] lean in rad: positive where the top lies
+    behind. A body of one row has lean 0."""
     points = axes.plane(body)
     height = points[:, 0, :, 1]
     low, high = height.min(axis=1, keepdims=True), height.max(axis=1, keepdims=True)
@@ -101,16 +94,9 @@ def blade_pose(body: np.ndarray, axes: Axes) -> tuple[np.ndarray, np.ndarray]:
 
 
 def wheel_pose(body: np.ndarray, axes: Axes):
-    """Motion and size of a wheel.
-
-    Args:
-      body: [S, T, R, D] particles of its rim, m.
-      axes: of the scene.
-
-    Returns:
-      [S, T, 2] u and y of its centre, m; [S, T] angle in rad that it has turned since frame 0,
-      positive where it rolls forward; [S] radius and [S] width, m.
-    """
+    """Motion and size of a wheel of particles [S, T, R, D] of its rim, m: [S, T, 2] u and y of its
+    centre, m; [S, T] angle in rad that it has turned since frame 0, positive where it rolls
+    forward; [S] radius and [S] width, m."""
     points = axes.plane(body)
     centre = points.mean(axis=2)
     spokes = points - centre[:, :, None]

@@ -9,16 +9,12 @@ from pca_tools import subspace
 
 
 def surface_profile(points, places, axes: Axes, kept_spacing, spacing):
-    """Height of a bed along the travel: the median over columns of the topmost particle in the slab
-    about each place, linear over slabs without particles, [n], m.
+    """Height of a bed along the travel at places u [n], m: the median over columns of the topmost
+    particle in the slab about each place, linear over slabs without particles, [n], m.
 
-    Args:
-      points: [N, D] particles of the bed, m; a part of all of them will do.
-      places: [n] u, m.
-      axes: of the scene.
-      kept_spacing: between the given particles, m; slabs and columns are twice as wide.
-      spacing: between all particles of the bed, m; its surface lies half of it above the centres
-        of the topmost.
+    Of particles [N, D] of the bed, m; a part of all of them will do. Slabs and columns are twice as
+    wide as `kept_spacing` between the given particles, m; the surface lies half of `spacing`
+    between all particles of the bed, m, above the centres of the topmost.
     """
     points = np.asarray(points, np.float64)
     z = points[:, axes.across] if points.shape[1] > 2 else np.zeros(len(points))

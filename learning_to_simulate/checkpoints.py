@@ -245,16 +245,10 @@ def data_record(data_path: str, metadata: dict) -> dict:
 
 
 def holds_model(path: str, parts: dict[str, dict], own_files: Iterable[str] = ()) -> bool:
-    """Whether a folder holds a model already, which must then be one of these parts.
-
-    Args:
-      path: model folder; it exists.
-      parts: entry of `config.json` -> what it says now, `path` aside; more may be in the file.
-      own_files: further names that a killed training may leave before its `config.json`.
-
-    Raises:
-      ValueError: a folder of something else, or of another model; nothing was written.
-    """
+    """Whether a folder, which exists, holds a model already, which must then be one of these
+    `parts`: entry of `config.json` -> what it says now, `path` aside; more may be in the file.
+    `own_files` are further names that a killed training may leave before its `config.json`.
+    ValueError for a folder of something else, or of another model; nothing was written."""
     if not os.path.exists(os.path.join(path, CONFIG_FILE)):
         ours = {*_FIRST, *own_files}
         strangers = {

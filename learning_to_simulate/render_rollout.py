@@ -72,24 +72,15 @@ def render(
     beside: Mapping[str, str] | None = None,
     **options,
 ) -> tuple[RolloutFrames, list[str]]:
-    """Draws a rollout file in one or several formats.
+    """Draws a rollout file `rollout_{split}_{i}.npz` in one or several of `FORMATS`, into a folder,
+    made if missing; the files take the rollout's name. Returns the rollout, and the files written
+    (of the `vtp`, the two collections).
 
-    Args:
-        rollout_path: `rollout_{split}_{i}.npz`.
-        data_path: dataset folder with `subspace.npz`, or None.
-        output_path: folder, made if missing; the files take the rollout's name.
-        formats: some of `FORMATS`.
-        label: name of the model, for the title of the prediction.
-        beside: name of a model -> rollout of the same run, drawn beside the first (not as `vtp`).
-        **options: of `render_frames`.
-
-    Returns:
-        The rollout, and the files written (of the `vtp`, the two collections).
-
-    Raises:
-        FileNotFoundError: the rollout or the dataset folder is missing.
-        ValueError: an unknown format, an input that `rollout_frames.load` refuses, or a package
-            for pictures is missing.
+    The dataset folder holds `subspace.npz`, or is None. `label` is the name of the model, for the
+    title of the prediction; `beside` name of a model -> rollout of the same run, drawn beside the
+    first (not as `vtp`). Options are those of `render_frames`. FileNotFoundError: the rollout or
+    the dataset folder is missing. ValueError: an unknown format, an input that
+    `rollout_frames.load` refuses, or a package for pictures is missing.
     """
     formats = tuple(dict.fromkeys(formats))
     unknown = [name for name in formats if name not in FORMATS]
@@ -114,22 +105,15 @@ def render_frames(
     progress: Callable = lambda frames, label: frames,
     beside: Sequence[RolloutFrames] = (),
 ) -> list[str]:
-    """Draws a rollout that is in memory; returns the files written.
+    """Draws a rollout that is in memory, and others `beside` it of the same run; returns the files
+    written.
 
-    Args:
-        frames: the rollout.
-        target: path of the files without their endings; its folder must exist.
-        formats: some of `FORMATS`.
-        step_stride: draw every step_stride-th frame, or the nearest to it that the particles have.
-        color_by: `speed` (mm/s) or `error` (mm).
-        plane: horizontal and vertical axis, a key of `rollout_frames.PLANES`; None for the view
-            from the side, with the scene's upward axis up.
-        progress: wraps the frames of a movie, called with them and a label.
-        beside: other rollouts of the same run.
-
-    Raises:
-        ValueError: errors are asked for where there is no truth, or a package for pictures is
-            missing.
+    `target` is their path without endings; its folder must exist. `formats` are some of `FORMATS`.
+    Every step_stride-th frame is drawn, or the nearest to it that the particles have. `color_by` is
+    `speed` (mm/s) or `error` (mm); `plane` horizontal and vertical axis, a key of
+    `rollout_frames.PLANES`, None for the view from the side, with the scene's upward axis up.
+    `progress` wraps the frames of a movie, called with them and a label. ValueError: errors are
+    asked for where there is no truth, or a package for pictures is missing.
     """
     if color_by == 'error' and not frames.has_truth:
         raise ValueError('color_by=error needs a recorded run; of a path there is no truth')

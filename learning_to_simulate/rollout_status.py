@@ -204,16 +204,10 @@ class NodeRanges:
     def judge(
         self, frame: int, position, force=None, body=None, before=None, context=None
     ) -> Judgement:
-        """The judgement of a predicted frame.
-
-        Args:
-          frame: its number.
-          position: float64 [V, D], m.
-          force: [D] (or [B D] of several bodies), N, or None.
-          body, before: [R, D], m, the body as it was given in this frame and in the one before;
-            None where its motion is predicted.
-          context: [C] in this frame, or None where it is that of the last frame.
-        """
+        """The judgement of a predicted frame of a number: positions float64 [V, D], m; force [D]
+        (or [B D] of several bodies), N, or None; the body [R, D], m, as it was given in this frame
+        and in the one before, None where its motion is predicted; the context [C] in this frame, or
+        None where it is that of the last frame."""
         predicted = self._predicted(frame, position, force)
         if predicted is not OK:
             return predicted

@@ -76,17 +76,12 @@ class Scene:
 
     @classmethod
     def from_metadata(cls, metadata, *, rigid_particle_type=None, rigid_motion=None) -> 'Scene':
-        """Reads a scene from validated metadata.
+        """Reads a scene from metadata of `pca_tools.dataset.read_metadata`.
 
-        Args:
-          metadata: dict as `pca_tools.dataset.read_metadata` returns it.
-          rigid_particle_type: of the first node of the records; decides the rigid motion of folders
-            that carry no scene (3, kinematic: prescribed; other: predicted).
-          rigid_motion: overrides the motion, e.g. 'driven' for the authors' wheel or 'predicted'
-            for the published way.
-
-        Raises:
-          ValueError: if the rigid motion is unknown, or neither stated nor deducible.
+        `rigid_particle_type`, of the first node of the records, decides the rigid motion of folders
+        that carry no scene (3, kinematic: prescribed; other: predicted). `rigid_motion` overrides
+        the motion, e.g. 'driven' for the authors' wheel or 'predicted' for the published way.
+        ValueError if it is unknown, or neither stated nor deducible.
         """
         stated = metadata.get('scene', {})
         motion = rigid_motion or stated.get('rigid_motion')

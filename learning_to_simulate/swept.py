@@ -105,15 +105,9 @@ class SweptBed(NamedTuple):
 
 
 def start(grid: SweptGrid, position, surface) -> SweptBed:
-    """The state before any motion: the circle has been where it is now.
-
-    Args:
-      position: [B, 2] first u and y of the centre, m.
-      surface: height of the bed, m: a number, or [B, n] at `position[:, :1] + grid.offsets`.
-
-    Raises:
-      ValueError: shapes that do not fit, or values that are not finite.
-    """
+    """The state before any motion: the circle has been where it is now, its centre at u and y of
+    `position` [B, 2], m. `surface` is the height of the bed, m: a number, or [B, n] at `position[:,
+    :1] + grid.offsets`. ValueError for shapes that do not fit, or values that are not finite."""
     position = numbers('position', position, (None, 2))
     shape = len(position), len(grid.offsets)
     surface = np.broadcast_to(numbers('surface', surface, (), shape), shape).copy()
@@ -133,11 +127,8 @@ def start(grid: SweptGrid, position, surface) -> SweptBed:
 
 def advance(grid: SweptGrid, state: SweptBed, position, dt) -> SweptBed:
     """The state after the tools have gone straight to their next positions [B, 2], m, within dt s.
-
-    Raises:
-      ValueError: a time that does not pass; a position that is not finite, or whose underside
-        reaches beyond the bins.
-    """
+    ValueError for a time that does not pass; a position that is not finite, or whose underside
+    reaches beyond the bins."""
     check_time(dt)
     position = numbers('position', position, state.position.shape)
     grid.check_within(position[:, 0] - state.origin, grid.radius)
@@ -160,14 +151,9 @@ def _cut(grid, state, position, dt):
 
 
 def after_step(state, height, tip, length) -> dict[str, np.ndarray]:
-    """Fields of a state that a step changes, of `SweptBed` and of `soil_field.sweep.Sweep`: (2),
-    (5).
-
-    Args:
-      state: before the step.
-      height: [B, n] of `underside`, m.
-      tip, length: [B], u at which the step ends and its length, m.
-    """
+    """Fields of a state, of `SweptBed` and of `soil_field.sweep.Sweep`, that a step changes: (2),
+    (5). Of the state before the step; height [B, n] of `underside`, m; tip and length [B], u at
+    which the step ends and its length, m."""
     passed, travelled = height < state.surface, state.travelled + length
     return {
         'profile': np.minimum(state.profile, height),

@@ -115,16 +115,12 @@ class SoilRollout(Judged):
 
 
 def roll_out(stepper, path, velocity=None, case=None, context=None) -> SoilRollout:
-    """Steps a model along a path.
+    """Steps a model along a path, by a `stepper.Stepper` that flags; it is left at the end of it.
 
-    Args:
-      stepper: `stepper.Stepper` that flags; it is left at the end of the path.
-      path: [T, 7] or [T, 3] poses (see `poses`), T >= 2; the body is at the first when it starts.
-      velocity: at its beginning; None for that of its first two poses.
-      case, context: as `Stepper.start`; a context that changes in time is [T, C].
-
-    Raises:
-      ValueError: not such a path; as `Stepper.step`.
+    The path has T >= 2 poses [T, 7] or [T, 3] (see `poses`); the body is at the first when it
+    starts, with `velocity`, None for that of its first two poses. Case and context are those of
+    `Stepper.start`; a context that changes in time is [T, C]. ValueError for no such path; as
+    `Stepper.step`.
     """
     scene, names = stepper.scene, stepper.scene.context_names
     values = poses.numbers('path', path, (None, 7), (None, 3))

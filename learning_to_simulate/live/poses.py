@@ -21,13 +21,9 @@ LARGEST = float(np.finfo(np.float32).max)  # the models compute in float32
 
 
 def numbers(name: str, values, *shapes: tuple) -> np.ndarray:
-    """A float64 copy of what a user gives, of one of some shapes (None: any length), or an error
-    that says what is wrong.
-
-    Raises:
-      ValueError: not real numbers (texts, dates, Booleans, complex or masked values), another
-        shape, or values that are not finite in float32.
-    """
+    """A float64 copy of what a user gives, of one of some shapes (None: any length). ValueError
+    that says what is wrong: not real numbers (texts, dates, Booleans, complex or masked values),
+    another shape, or values that are not finite in float32."""
     try:
         array = np.asanyarray(values)
     except (TypeError, ValueError) as error:

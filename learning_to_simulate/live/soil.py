@@ -7,15 +7,8 @@ from pca_tools.subspace import Subspace
 
 def surface(points, extent, up_axis: int, nx: int, nz: int) -> np.ndarray:
     """Heights of particles [N, 3] (m) on a grid: float32 [nx, nz], m, of the highest particle of
-    each cell; NaN where a cell has none.
-
-    Args:
-      extent: [2, 2], m, lowest and highest of the two level axes; particles beyond it count in the
-        cells of the rim.
-
-    Raises:
-      ValueError: no cells.
-    """
+    each cell; NaN where a cell has none. `extent` [2, 2], m, are lowest and highest of the two
+    level axes; particles beyond it count in the cells of the rim. ValueError for no cells."""
     if nx < 1 or nz < 1:
         raise ValueError(f'a height map of {nx} x {nz} cells has none')
     low, high = np.transpose(extent)

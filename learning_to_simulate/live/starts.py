@@ -166,12 +166,8 @@ def write(model_path: str, data_path: str, nodes: dict) -> dict[str, str]:
 
 
 def read(model_path: str) -> tuple[Starts, Subspace | None]:
-    """The starts and the subspace of a self-contained model folder.
-
-    Raises:
-      FileNotFoundError: the folder holds no starts.
-      ValueError: a file is damaged or is not the one of this model.
-    """
+    """The starts and the subspace of a self-contained model folder. FileNotFoundError: it holds no
+    starts. ValueError: a file is damaged or is not the one of this model."""
     stored = checkpoints.read_config(model_path).get('files')
     if not isinstance(stored, dict) or START_FILE not in stored:
         raise FileNotFoundError(

@@ -157,18 +157,13 @@ class RolloutFrames:
 
 
 def load(rollout_path: str, data_path: str | None, label: str = '') -> RolloutFrames:
-    """Reads a rollout and, from the dataset folder, what its soil did; cut before the first frame
-    that is not finite.
+    """Reads a rollout file `rollout_{split}_{i}.npz` and, from the dataset folder, what its soil
+    did; cut before the first frame that is not finite. Without a folder, or without `subspace.npz`
+    in it, there is no soil. The label is the name of the model, for titles.
 
-    Args:
-        rollout_path: `rollout_{split}_{i}.npz`.
-        data_path: dataset folder; without one, or without `subspace.npz` in it, there is no soil.
-        label: name of the model, for titles.
-
-    Raises:
-        FileNotFoundError: a file or the folder is missing.
-        ValueError: not an `.npz`, missing keys, shapes that do not fit, NaN in the truth, nothing
-            finite predicted, or a subspace other than the rollout's.
+    FileNotFoundError: a file or the folder is missing. ValueError: not an `.npz`, missing keys,
+    shapes that do not fit, NaN in the truth, nothing finite predicted, or a subspace other than the
+    rollout's.
     """
     if rollout_path.endswith(('.pkl', '.pickle')):
         raise ValueError(f'{rollout_path}: is a pickle, which is never read; give the .npz of it')
