@@ -4,7 +4,7 @@ import os
 
 import numpy as np
 
-from pca_tools import dataset, files, packed_runs, packing, particles, statistics, subspace
+from pca_tools import dataset, files, packed_runs, packing, particles, subspace
 
 N_MODES, N_FRAMES, N_SOIL = 3, 40, 50
 RADIUS = 0.1
@@ -101,7 +101,17 @@ def write_dataset(
             'up_axis': 1,
         },
     }
-    metadata |= statistics.motion_statistics(runs['train'])
+    modes = [run.position[:, run.n_rigid :] for run in runs['train']]
+    for name, parts in (
+        ('vel', [np.diff(x, axis=0) for x in modes]),
+        ('acc', [np.diff(x, n=2, axis=0) for x in modes]),
+        ('rigid_body_force', [run.force for run in runs['train']]),
+        ('context', [run.step_context for run in runs['train']]),
+    ):
+        if parts[0] is not None:
+            values = np.concatenate([part.reshape(-1, part.shape[-1]) for part in parts])
+            metadata[f'{name}_mean'] = values.mean(0).tolist()
+            metadata[f'{name}_std'] = values.std(0).tolist()
     files.write_json(os.path.join(folder, 'metadata.json'), metadata)
     return str(folder)
 
