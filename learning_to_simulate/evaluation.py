@@ -75,7 +75,13 @@ def summarise(results, model, metadata: dict, split: str) -> dict:
         }
         forces = dict.fromkeys(methods)
         if scene.has_force:
-            forces = _by_method(rollout.force, group.force, statistics.force_mean)
+            forces = {
+                'model': rollout.force,
+                'stay_still': np.repeat(group.force[:, H - 1 : H], n_frame, axis=1),
+                'constant_velocity': np.broadcast_to(
+                    statistics.force_mean, group.force[:, H:].shape
+                ),
+            }
         for name, rows in methods.items():
             position, truth = positions[name], recorded[:, H:]
             errors = {'rigid_mse': metrics.rigid_mse(position, truth, n_rigid)} if n_rigid else {}
@@ -117,16 +123,6 @@ class _Truths:
             found = reader.read(split, int(group.record[0]), nodes, self._n_soil)
         self.space = found.space
         return found
-
-
-def _by_method(predicted, recorded, mean) -> dict:
-    """A force [S, T - H, D] as the model and the trivial predictors have it."""
-    n_frame = recorded.shape[1] - H
-    return {
-        'model': predicted,
-        'stay_still': np.repeat(recorded[:, H - 1 : H], n_frame, axis=1),
-        'constant_velocity': np.broadcast_to(mean, recorded[:, H:].shape),
-    }
 
 
 def _summary(methods, truths, scene):

@@ -146,33 +146,6 @@ def render_frames(
     return written
 
 
-def define_flags() -> None:
-    flags.DEFINE_string(
-        'rollout_path',
-        None,
-        'rollout_{split}_{i}.npz, as train --mode=eval_rollout writes it.',
-        required=True,
-    )
-    flags.DEFINE_string(
-        'data_path', None, 'Dataset folder with subspace.npz; without one no soil is drawn.'
-    )
-    flags.DEFINE_string('output_path', None, 'Folder for the pictures.', required=True)
-    flags.DEFINE_integer('step_stride', 3, 'Draw every n-th frame.', 1)
-    flags.DEFINE_enum('color_by', 'speed', ('speed', 'error'), 'What colours the soil.')
-    flags.DEFINE_enum(
-        'plane',
-        None,
-        list(rollout_frames.PLANES),
-        'Horizontal and vertical axis of the view; default: from the side, upward axis up. With y '
-        'up xz is from above, zy along the drive.',
-    )
-    flags.DEFINE_string('label', '', 'Name of the model, for the title of the prediction.')
-    flags.DEFINE_list(
-        'beside', [], 'NAME=FILE of other rollouts of the same run, drawn beside the first.'
-    )
-    flags.DEFINE_list('format', 'png,gif,mp4', f'Any of {", ".join(FORMATS)}.')
-
-
 def _is_on_terrain(path):
     """Whether a file holds a rollout of a soil field."""
     if not zipfile.is_zipfile(path):
@@ -222,5 +195,28 @@ def run(values) -> None:
 
 
 if __name__ == '__main__':
-    define_flags()
+    flags.DEFINE_string(
+        'rollout_path',
+        None,
+        'rollout_{split}_{i}.npz, as train --mode=eval_rollout writes it.',
+        required=True,
+    )
+    flags.DEFINE_string(
+        'data_path', None, 'Dataset folder with subspace.npz; without one no soil is drawn.'
+    )
+    flags.DEFINE_string('output_path', None, 'Folder for the pictures.', required=True)
+    flags.DEFINE_integer('step_stride', 3, 'Draw every n-th frame.', 1)
+    flags.DEFINE_enum('color_by', 'speed', ('speed', 'error'), 'What colours the soil.')
+    flags.DEFINE_enum(
+        'plane',
+        None,
+        list(rollout_frames.PLANES),
+        'Horizontal and vertical axis of the view; default: from the side, upward axis up. With y '
+        'up xz is from above, zy along the drive.',
+    )
+    flags.DEFINE_string('label', '', 'Name of the model, for the title of the prediction.')
+    flags.DEFINE_list(
+        'beside', [], 'NAME=FILE of other rollouts of the same run, drawn beside the first.'
+    )
+    flags.DEFINE_list('format', 'png,gif,mp4', f'Any of {", ".join(FORMATS)}.')
     command.start(run)

@@ -60,17 +60,16 @@ class SweptGrid:
         first = int(np.floor(self.behind / self.spacing))
         return self.spacing * np.arange(-first, int(np.floor(self.ahead / self.spacing)) + 1)
 
-    def check_within(self, offset, radius) -> None:
-        """Raises ValueError where one of B tools of some radius (m) at offsets [B] (m) from their
-        first positions reaches beyond the bins."""
+    def check_within(self, offset) -> None:
+        """Raises ValueError where one of B tools at offsets [B] (m) from their first positions
+        reaches beyond the bins."""
         low, high = self.offsets[[0, -1]]
-        outside = (offset - radius < low) | (offset + radius > high)
+        outside = (offset - self.radius < low) | (offset + self.radius > high)
         if outside.any():
             tool = int(np.argmax(outside))
             raise ValueError(
                 f'tool {tool} is {offset[tool]:.3g} m from its first position; with its radius of '
-                f'{np.broadcast_to(radius, outside.shape)[tool]:.3g} m the bins from {low:.3g} to '
-                f'{high:.3g} m do not hold it'
+                f'{self.radius:.3g} m the bins from {low:.3g} to {high:.3g} m do not hold it'
             )
 
 
@@ -131,7 +130,7 @@ def advance(grid: SweptGrid, state: SweptBed, position, dt) -> SweptBed:
     reaches beyond the bins."""
     check_time(dt)
     position = numbers('position', position, state.position.shape)
-    grid.check_within(position[:, 0] - state.origin, grid.radius)
+    grid.check_within(position[:, 0] - state.origin)
     return _cut(grid, state, position, dt)
 
 

@@ -138,8 +138,8 @@ def roll_out(stepper, path, velocity=None, case=None, context=None) -> SoilRollo
     start = stepper.state.start
     known = scene.rigid_motion.is_known
     frames = [
-        stepper.step(pose if known else None, None if k is None else k)
-        for pose, k in zip(values[1:], contexts[1:], strict=True)
+        stepper.step(pose if known else None, now)
+        for pose, now in zip(values[1:], contexts[1:], strict=True)
     ]
     history, n = start.history(), len(start.kept)
     path = np.concatenate([start.past(), values[1:]]) if known else None
