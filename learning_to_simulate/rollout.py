@@ -15,12 +15,7 @@ from learning_to_simulate.subspace.learned_simulator import (
     SimulatorState,
     initial_state,
 )
-from learning_to_simulate.subspace.rigid_body import (
-    KnownMotion,
-    corrected,
-    known_motion,
-    shape_of,
-)
+from learning_to_simulate.subspace.rigid_body import KnownMotion, corrected, known_motion, shape_of
 
 
 class Rollout(NamedTuple):

@@ -74,9 +74,7 @@ flags.DEFINE_integer('num_threads', None, 'CPU threads of TensorFlow; default: i
 
 # Settings of the model.
 _PRESET = flags.DEFINE_string(
-    'preset',
-    None,
-    f'One of {", ".join(presets.PRESETS)}; default: the one of --model, else pcg.',
+    'preset', None, f'One of {", ".join(presets.PRESETS)}; default: the one of --model, else pcg.'
 )
 _CONFIG = flags.DEFINE_string(
     'config', None, 'JSON file of settings {name: value}, or the config.json of a model.'

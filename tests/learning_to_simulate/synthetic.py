@@ -58,12 +58,7 @@ def make_trajectory(seed, n_rigid=4, motion='prescribed', context=False, force=T
 
 
 def write_dataset(
-    folder,
-    rigid_counts=(4,),
-    motion='prescribed',
-    context=False,
-    force=True,
-    n_run=4,
+    folder, rigid_counts=(4,), motion='prescribed', context=False, force=True, n_run=4
 ):
     """Writes train, valid and test splits with metadata; returns the folder as a string.
 
@@ -74,11 +69,7 @@ def write_dataset(
     for offset, (split, count) in enumerate((('train', n_run), ('valid', 2), ('test', 2))):
         runs[split] = [
             make_trajectory(
-                100 * offset + i,
-                rigid_counts[i % len(rigid_counts)],
-                motion,
-                context,
-                force,
+                100 * offset + i, rigid_counts[i % len(rigid_counts)], motion, context, force
             )
             for i in range(count)
         ]
