@@ -150,9 +150,7 @@ class TrainedModel:
         if self._at_rest is None:
             from learning_to_simulate.live import starts
 
-            found, space = starts.read(self.path)
-            space = None if space is None else self.model.fitting_subspace(space)
-            self._at_rest = found, space
+            self._at_rest = starts.read(self.path)
         return self._at_rest
 
     def stepper(self, outside: str = 'flag', engine: str = 'best'):
