@@ -149,13 +149,9 @@ def _limits(low, high, factor):
 
 
 class NodeRanges:
-    """The ranges of a model's training runs, for bodies of one size.
-
-    Args:
-      n_rigid: R.
-      statistics: of the training runs.
-      scene: says what of the body's motion is given.
-      force_limit: N, the largest force of the training runs, or None if it is not known.
+    """The ranges of a model's training runs by their statistics, for bodies of R particles. The
+    scene says what of the body's motion is given; `force_limit` is the largest force of the
+    training runs, N, or None if it is not known.
 
     Attributes:
       bounds, start_limits: [4, V, D] of predicted nodes, and of those of a start: least and most

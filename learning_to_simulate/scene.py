@@ -36,7 +36,8 @@ class RigidMotion(enum.StrEnum):
 
 @dataclasses.dataclass(frozen=True)
 class Scene:
-    """Static description of a scene; SI units.
+    """Static description of a scene; SI units. ValueError for a name that cannot be printed, which
+    XML and C could not hold either.
 
     Attributes:
       name: label for pictures and tables; nothing branches on it.
@@ -52,9 +53,6 @@ class Scene:
       connectivity_radius: length that scales edge features of the published presets, m.
       bodies: (name, number of nodes) of several bodies in the order of their nodes, all of given
         motion; () of one or none. Of each there is a force [D], one behind the other.
-
-    Raises:
-      ValueError: a name that cannot be printed, which XML and C could not hold either.
     """
 
     name: str

@@ -24,17 +24,14 @@ TINY = 1e-37  # less than any length, m
 
 @dataclasses.dataclass(frozen=True)
 class SweptGrid:
-    """Bins along the way of travel, and the circle that sweeps them.
+    """Bins along the way of travel, and the circle that sweeps them. ValueError for a length that
+    is not positive, or a circle narrower than two bins: it could pass between their centres.
 
     Attributes:
       radius: of the tool's underside, m; a blade's edge has half its thickness.
       spacing: of the bins, m.
       behind, ahead: how far the bins reach behind and ahead of the tool's first position, m.
       forget: distance since the last passage is cut here, m; soil that was never passed has it.
-
-    Raises:
-      ValueError: a length that is not positive, or a circle narrower than two bins: it could pass
-        between their centres.
     """
 
     radius: float

@@ -215,7 +215,7 @@ def _parse(path):
 
 class Start:
     """Checked input of a start: what a user gives to `Stepper.start`, and the rest from that of a
-    case.
+    case. ValueError for no such case, not a pose, a velocity or a context.
 
     Attributes:
       body, kept: particles of the body in its own frame, and which are nodes.
@@ -223,9 +223,6 @@ class Start:
       pose: float64 [7].
       velocity: float64 [6], m/s and rad/s.
       context: float64 [C] or None.
-
-    Raises:
-      ValueError: no such case, not a pose, a velocity or a context.
     """
 
     def __init__(self, scene, starts: Starts, pose=None, velocity=None, case=None, context=None):
