@@ -20,21 +20,16 @@ def surface(points, extent, up_axis: int, nx: int, nz: int) -> np.ndarray:
     return np.where(np.isinf(heights), np.float32(np.nan), heights).reshape(nx, nz)
 
 
-def plan_extent(points, up: int) -> np.ndarray:
-    """float64 [2, 2], m: lowest and highest of each axis of a bed [N, D] seen from above."""
-    plan = np.delete(np.asarray(points, np.float64), up, axis=1)
-    return np.stack([plan.min(axis=0), plan.max(axis=0)], axis=1)
-
-
 class Decoder:
     """Decodes the scores of a subspace, in float32; `extent` [2, 2], m, is what a height map spans,
-    the bed at rest (see `plan_extent`)."""
+    lowest and highest of each level axis of the bed at rest."""
 
     def __init__(self, subspace: Subspace, up_axis: int):
-        self.subspace, self.up_axis = subspace, up_axis
+        self.up_axis = up_axis
         self._components = np.ascontiguousarray(subspace.components, np.float32)
         self._mean = np.asarray(subspace.mean, np.float32)
-        self.extent = plan_extent(subspace.initial, up_axis)
+        plan = np.delete(np.asarray(subspace.initial, np.float64), up_axis, axis=1)
+        self.extent = np.stack([plan.min(axis=0), plan.max(axis=0)], axis=1)
 
     def particles(self, modes) -> np.ndarray:
         """float32 [..., N, D], m, of scores [..., r, D] (inverse PCA)."""
