@@ -19,7 +19,7 @@ import numpy as np
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.live import poses
 from learning_to_simulate.live.soil import Decoder, Soil
-from learning_to_simulate.live.starts import RecordedStart, Start
+from learning_to_simulate.live.starts import RecordedStart, Start, read_context
 from learning_to_simulate.live.tf_step import TfStep
 from learning_to_simulate.rollout_status import OK, Judgement, NodeRanges, RolloutStatus, worse
 from learning_to_simulate.scene import RigidMotion
@@ -235,7 +235,7 @@ class Stepper:
             run, scene = self._begun(), self.scene
             last, start = run.frame, run.start
             if context is not None:
-                context = start.read_context(context)
+                context = read_context(scene, context)
             if pose is not None:
                 pose = start.read(pose)
             if scene.rigid_motion.is_known != (pose is not None):
