@@ -2,7 +2,7 @@
 
 import dataclasses
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -48,9 +48,6 @@ class Split(Sequence):
         if not -len(self) <= index < len(self):
             raise IndexError(f'{self.name} of {self.folder} has {len(self)} runs, not {index}')
         return Run(self, index % len(self))
-
-    def __iter__(self) -> Iterator[Run]:
-        return (Run(self, i) for i in range(len(self)))
 
 
 class Dataset:
@@ -153,9 +150,7 @@ class TrainedModel:
         if self._at_rest is None:
             from learning_to_simulate.live import starts
 
-            found, space = starts.read(self.path)
-            space = None if space is None else self.model.fitting_subspace(space)
-            self._at_rest = found, space
+            self._at_rest = starts.read(self.path)
         return self._at_rest
 
     def stepper(self, outside: str = 'flag', engine: str = 'best'):

@@ -1,8 +1,8 @@
-"""The axes of a scene: along the way of travel (u), up (y), across it; and poses read from them.
+"""The axes of a scene: along the way of travel (u), up (y), across it; and poses read from rigid
+particles.
 
-A tool moves in the plane of u and y. All that is known of its motion enters here, either as poses
-or as rigid particles. What a method may know of a body follows from the scene: all motion of a
-prescribed one, turn and travel of a driven one.
+A tool moves in the plane of u and y. What a method may know of a body follows from the scene: all
+motion of a prescribed one, turn and travel of a driven one.
 """
 
 import dataclasses
@@ -62,31 +62,9 @@ class Axes:
             found.append(cls(axis, 1 if travel[axis] >= 0 else -1, up))
         return max(found, key=found.count)
 
-    @classmethod
-    def of_runs(cls, runs, up: int) -> 'Axes':
-        """The axes of records with poses: where most of their tools drive, and the middle of those.
-
-        Raises:
-          ValueError: a run without the pose of its body.
-        """
-        for i, run in enumerate(runs):
-            if run.rigid_pose is None or not run.n_rigid:
-                raise ValueError(
-                    f'record {i} holds no pose of a rigid body; convert runs that have one'
-                )
-        axes = cls.of_bodies([r.rigid_pose[None, :, None, :3].astype(np.float64) for r in runs], up)
-        middle = np.mean([run.rigid_pose[:, axes.across].mean() for run in runs])
-        return dataclasses.replace(axes, middle=float(middle))
-
     @property
     def across(self) -> int:
         return 3 - self.axis - self.up
-
-    @property
-    def _turn(self) -> int:
-        """Sign of a torque across the way: +1 where along, up, across are right-handed."""
-        is_cyclic = (self.axis, self.up, self.across) in ((0, 1, 2), (1, 2, 0), (2, 0, 1))
-        return self.sign if is_cyclic else -self.sign
 
     def plane(self, points) -> np.ndarray:
         """[..., 2] u and y of points [..., D] of the world, m; D is 2 or 3."""
@@ -97,39 +75,11 @@ class Axes:
         flat = points.shape[-1] < 3
         return np.zeros(len(points)) if flat else np.ptp(points[..., self.across], axis=1)
 
-    def points(self, points) -> np.ndarray:
-        """Points [..., 3] of the world (m) as u, height, distance from the middle plane."""
-        return self.local(np.asarray(points, np.float64)) - np.array([0.0, 0.0, self.middle])
-
-    def local(self, vectors) -> np.ndarray:
-        """Vectors [..., 3] of the world along, up, across."""
-        return np.concatenate([self.plane(vectors), vectors[..., self.across, None]], axis=-1)
-
-    def poses(self, pose) -> np.ndarray:
-        """u, height (m) and lean (rad) [..., 3] of poses [..., 7]: position (m) and unit quaternion
-        (w, x, y, z) of an upright tool.
-
-        The lean is where the rotation R takes the upward axis e: atan2(-sign (R e)_axis, (R e)_up).
-        """
-        pose = np.asarray(pose, np.float64)
-        w, a, u, c = (pose[..., 3 + i] for i in (0, 1 + self.axis, 1 + self.up, 1 + self.across))
-        # Two elements of the rotation matrix, quadratic in the quaternion.
-        tilt = (a * u + u * a) - self.sign * self._turn * (w * c + c * w)
-        lean = np.arctan2(-self.sign * tilt, (w * w + u * u) - (a * a + c * c))
-        return np.concatenate([self.plane(pose), lean[..., None]], axis=-1)
-
 
 def blade_pose(body: np.ndarray, axes: Axes) -> tuple[np.ndarray, np.ndarray]:
-    """Pose of a flat blade.
-
-    Args:
-      body: [S, T, R, D] particles of its face, m.
-      axes: of the scene.
-
-    Returns:
-      [S, T, 2] u and y of the middle of its lowest row of particles, m, and [S, T] lean in rad:
-      positive where the top lies behind. A body of one row has lean 0.
-    """
+    """Pose of a flat blade of particles [S, T, R, D] of its face, m: [S, T, 2] u and y of the
+    middle of its lowest row of particles, m, and [S, T] lean in rad: positive where the top lies
+    behind. A body of one row has lean 0."""
     points = axes.plane(body)
     height = points[:, 0, :, 1]
     low, high = height.min(axis=1, keepdims=True), height.max(axis=1, keepdims=True)
@@ -144,16 +94,9 @@ def blade_pose(body: np.ndarray, axes: Axes) -> tuple[np.ndarray, np.ndarray]:
 
 
 def wheel_pose(body: np.ndarray, axes: Axes):
-    """Motion and size of a wheel.
-
-    Args:
-      body: [S, T, R, D] particles of its rim, m.
-      axes: of the scene.
-
-    Returns:
-      [S, T, 2] u and y of its centre, m; [S, T] angle in rad that it has turned since frame 0,
-      positive where it rolls forward; [S] radius and [S] width, m.
-    """
+    """Motion and size of a wheel of particles [S, T, R, D] of its rim, m: [S, T, 2] u and y of its
+    centre, m; [S, T] angle in rad that it has turned since frame 0, positive where it rolls
+    forward; [S] radius and [S] width, m."""
     points = axes.plane(body)
     centre = points.mean(axis=2)
     spokes = points - centre[:, :, None]

@@ -9,16 +9,12 @@ from pca_tools import subspace
 
 
 def surface_profile(points, places, axes: Axes, kept_spacing, spacing):
-    """Height of a bed along the travel: the median over columns of the topmost particle in the slab
-    about each place, linear over slabs without particles, [n], m.
+    """Height of a bed along the travel at places u [n], m: the median over columns of the topmost
+    particle in the slab about each place, linear over slabs without particles, [n], m.
 
-    Args:
-      points: [N, D] particles of the bed, m; a part of all of them will do.
-      places: [n] u, m.
-      axes: of the scene.
-      kept_spacing: between the given particles, m; slabs and columns are twice as wide.
-      spacing: between all particles of the bed, m; its surface lies half of it above the centres
-        of the topmost.
+    Of particles [N, D] of the bed, m; a part of all of them will do. Slabs and columns are twice as
+    wide as `kept_spacing` between the given particles, m; the surface lies half of `spacing`
+    between all particles of the bed, m, above the centres of the topmost.
     """
     points = np.asarray(points, np.float64)
     z = points[:, axes.across] if points.shape[1] > 2 else np.zeros(len(points))
@@ -35,39 +31,20 @@ def surface_profile(points, places, axes: Axes, kept_spacing, spacing):
     return np.interp(places, centres, np.nanmedian(top[there], axis=1)) + spacing / 2
 
 
-def flat_surface(points, axes: Axes, kept_spacing: float, spacing: float) -> float:
-    """Height of a flat bed, m: the median of its profile; arguments as in `surface_profile`."""
-    u = axes.plane(np.asarray(points, np.float64))[:, 0]
-    places = np.arange(u.min() + kept_spacing, u.max(), 2.0 * kept_spacing)
-    return float(np.median(surface_profile(points, places, axes, kept_spacing, spacing)))
-
-
-def solver_spacing(case: dict) -> float | None:
-    """Spacing (m) of the solver's particles in a case of the metadata; None if it does not say."""
-    packing = case.get('packing') or {}
-    if 'cell_size_m' not in case or 'particles_per_cell' not in packing:
-        return None
-    return float(case['cell_size_m'] / packing['particles_per_cell'] ** (1 / 3))
-
-
-def kept_spacing(points) -> float:
-    """Spacing (m) of particles [N, 3] that fill a box."""
-    return float((np.prod(np.ptp(points, axis=0)) / len(points)) ** (1 / 3))
-
-
-def spacings(points, metadata: dict) -> tuple[float, float]:
-    """Spacing (m) of the particles [N, 3] of a bed and of those of the solver, as the metadata of
-    their dataset say, or the same."""
-    kept = kept_spacing(points)
-    first = next(iter(metadata.get('cases', {}).get('train', [])), {})
-    return kept, solver_spacing(first) or kept
-
-
 def height_of_dataset(folder: str, metadata: dict, axes: Axes) -> float | None:
-    """Height (m) of the flat bed that the runs of a dataset start from, read from the particles of
-    its subspace; None where it has none."""
+    """Height (m) of the flat bed that the runs of a dataset start from, the median of its profile,
+    read from the particles of its subspace; None where it has none. The spacing of the solver's
+    particles is that of the first case of the metadata, or where it says none that of those."""
     path = os.path.join(folder, 'subspace.npz')
     if not os.path.exists(path):
         return None
     points = subspace.Subspace.load(path).initial
-    return flat_surface(points, axes, *spacings(points, metadata))
+    # Of particles that fill a box.
+    kept = spacing = float((np.prod(np.ptp(points, axis=0)) / len(points)) ** (1 / 3))
+    first = next(iter(metadata.get('cases', {}).get('train', [])), {})
+    packing = first.get('packing') or {}
+    if 'cell_size_m' in first and 'particles_per_cell' in packing:
+        spacing = float(first['cell_size_m'] / packing['particles_per_cell'] ** (1 / 3))
+    u = axes.plane(np.asarray(points, np.float64))[:, 0]
+    places = np.arange(u.min() + kept, u.max(), 2.0 * kept)
+    return float(np.median(surface_profile(points, places, axes, kept, spacing)))

@@ -10,6 +10,7 @@ A folder that ships with the project holds no checkpoints. What is here is the s
 all methods.
 """
 
+import collections
 import contextlib
 import dataclasses
 import hashlib
@@ -20,7 +21,6 @@ from typing import Any
 
 import numpy as np
 
-from learning_to_simulate import known_shapes
 from learning_to_simulate.scene import Scene, is_int, require
 from pca_tools import files
 from pca_tools.storage import folder_lock
@@ -118,6 +118,36 @@ def save_weights(path: str, variables: dict) -> None:
     files.write_npz(os.path.join(path, WEIGHTS_FILE), **values)
 
 
+@contextlib.contextmanager
+def only_shapes(shapes: Iterable[tuple[int, ...]], source: str) -> Iterator[None]:
+    """Lets a `with` block make trainable variables of the shapes of all arrays of a weights file
+    (`source`), each as often as it is there; ValueError for another shape, or one too many: it is
+    not made.
+
+    A `config.json` from elsewhere may ask for a network of any size. Built first and compared with
+    its weights afterwards, that costs gigabytes and minutes; held against the file variable by
+    variable, a network that the file cannot fill ends at its first foreign variable.
+    """
+    import tensorflow as tf  # what lists the methods imports this, and waits for none
+
+    left = collections.Counter(map(tuple, shapes))
+
+    def make(next_creator, **options):
+        value = options['initial_value']
+        shape = tuple(tf.convert_to_tensor(value() if callable(value) else value).shape)
+        if options.get('trainable') is not False:
+            if not left[shape]:
+                raise ValueError(
+                    f'{source}: not the weights of config.json beside it, which asks for one more '
+                    f'array of shape {shape} than there is'
+                )
+            left[shape] -= 1
+        return next_creator(**options)
+
+    with tf.variable_creator_scope(make):
+        yield
+
+
 def filled(path: str, make: Callable, named: Callable[[Any], dict] = weights_of):
     """What `make` makes, its variables, which `named` lists, with the values of weights.npz; none
     is made that the file does not hold.
@@ -136,7 +166,7 @@ def filled(path: str, make: Callable, named: Callable[[Any], dict] = weights_of)
         # Integers too: batch normalisations count their steps.
         if value.dtype.kind not in 'fi' or not np.isfinite(value).all():
             raise ValueError(f'{weights_path}: {name} is not finite ({value.dtype})')
-    with known_shapes.only((value.shape for value in stored.values()), weights_path):
+    with only_shapes((value.shape for value in stored.values()), weights_path):
         model = make()
     variables = named(model)
     found = {n: (v.shape, v.dtype.kind) for n, v in stored.items()}
@@ -219,16 +249,10 @@ def data_record(data_path: str, metadata: dict) -> dict:
 
 
 def holds_model(path: str, parts: dict[str, dict], own_files: Iterable[str] = ()) -> bool:
-    """Whether a folder holds a model already, which must then be one of these parts.
-
-    Args:
-      path: model folder; it exists.
-      parts: entry of `config.json` -> what it says now, `path` aside; more may be in the file.
-      own_files: further names that a killed training may leave before its `config.json`.
-
-    Raises:
-      ValueError: a folder of something else, or of another model; nothing was written.
-    """
+    """Whether a folder, which exists, holds a model already, which must then be one of these
+    `parts`: entry of `config.json` -> what it says now, `path` aside; more may be in the file.
+    `own_files` are further names that a killed training may leave before its `config.json`.
+    ValueError for a folder of something else, or of another model; nothing was written."""
     if not os.path.exists(os.path.join(path, CONFIG_FILE)):
         ours = {*_FIRST, *own_files}
         strangers = {

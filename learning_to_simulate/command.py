@@ -16,10 +16,7 @@ _TRUTHS = {'true': True, '1': True, 'false': False, '0': False}
 
 def named_paths(flag: str, items: list[str], what: str) -> dict[str, str]:
     """Name -> path of the values NAME=PATH of a flag; `what` the path is, FILE or FOLDER.
-
-    Raises:
-      ValueError: one without a name or a path, or a name that comes twice.
-    """
+    ValueError for one without a name or a path, or a name that comes twice."""
     found = dict(item.partition('=')[::2] for item in items)
     if '' in found or '' in found.values() or len(found) < len(items):
         raise ValueError(f'--{flag}={",".join(items)}: NAME={what} was expected, each name once')
@@ -28,10 +25,7 @@ def named_paths(flag: str, items: list[str], what: str) -> dict[str, str]:
 
 def settings(items: list[str], types: dict[str, type], flag: str = 'set') -> dict:
     """Name -> value of the values NAME=VALUE of a flag, by the type of every setting there is.
-
-    Raises:
-      ValueError: an unknown name, one that is given twice, or a value of another type.
-    """
+    ValueError for an unknown name, one that is given twice, or a value of another type."""
     found: dict = {}
     for item in items:
         name, equals, text = item.partition('=')

@@ -66,10 +66,8 @@ def algorithm2(scene: Scene, n_rigid: int, mode_mask: np.ndarray) -> Adjacency:
     modes -> modes as in `mode_mask`, bool [r, r], entry [receiver, sender] (of an NRI result, or of
     any other edge list); rigid -> modes all; modes -> rigid only where the motion of the body is
     (at least in part) predicted; rigid -> rigid along `scene.rigid_edges` only where all of it is
-    predicted.
-
-    Raises:
-      ValueError: if the mask is not r x r, or a geometry edge names a rigid particle beyond R.
+    predicted. ValueError if the mask is not r x r, or a geometry edge names a rigid particle beyond
+    R.
     """
     r = scene.n_modes
     if mode_mask.shape != (r, r):
@@ -103,15 +101,10 @@ def nearest_neighbour_edges(points) -> tuple[tuple[int, int], ...]:
 
 
 def mode_correlations(velocities) -> np.ndarray:
-    """One-frame-lagged velocity correlation of every pair of modes.
-
-    Args:
-      velocities: [S, T, r, D] of the modes on training runs, m/frame, or a list of such arrays.
-
-    Returns:
-      float64 [r, r] in [0, 1], entry [receiver, sender]: how well the sender's velocity of one
-      frame goes with the receiver's of the next, sign ignored.
-    """
+    """One-frame-lagged velocity correlation of every pair of modes, float64 [r, r] in [0, 1], entry
+    [receiver, sender]: how well the sender's velocity of one frame goes with the receiver's of the
+    next, sign ignored. Of velocities [S, T, r, D] on training runs, m/frame, or a list of such
+    arrays."""
     parts = velocities if isinstance(velocities, list) else [velocities]
     frames = np.concatenate([part.reshape(-1, *part.shape[2:]) for part in parts])
     mean, scale = frames.mean(axis=0), frames.std(axis=0)

@@ -22,19 +22,6 @@ from pca_tools.storage import folder_lock
 METRICS_FILE = 'metrics.json'
 
 
-def roll_out_all(roll_out, groups, progress=iter) -> list:
-    """Rolls out every run of a list of `RunGroup` on its own; `progress` wraps the runs (`tqdm`).
-
-    Returns:
-      list of (record index, one-run `RunGroup`, its `Rollout`), sorted by record.
-    """
-    runs = sorted(
-        ((int(g.record[i]), g.select(i)) for g in groups for i in range(len(g.position))),
-        key=lambda item: item[0],
-    )
-    return [(record, group, roll_out(group)) for record, group in progress(runs)]
-
-
 class Evaluator:
     """Keeps the compiled rollouts of one model, so that evaluation during training compiles once.
     Projection errors are used where the `metadata` of the dataset state them."""
@@ -52,24 +39,24 @@ class Evaluator:
         return roll_out(self._functions[key], group)
 
     def run(self, groups, split: str, progress=iter):
-        """Results of `roll_out_all` and metrics of `summarise` for the runs of a split."""
-        results = roll_out_all(self.roll_out, groups, progress)
+        """Rolls out every run of a list of `RunGroup` on its own; `progress` wraps the runs.
+        Returns (record index, one-run `RunGroup`, its `Rollout`) of each, sorted by record, and the
+        metrics of `summarise`."""
+        runs = [(int(g.record[i]), g.select(i)) for g in groups for i in range(len(g.position))]
+        runs.sort(key=lambda run: run[0])
+        results = [(record, one, self.roll_out(one)) for record, one in progress(runs)]
         return results, summarise(results, self._model, self._metadata, split)
 
 
 def summarise(results, model, metadata: dict, split: str) -> dict:
-    """The metrics of rolled-out runs: per run, their mean, and those of the trivial predictors.
+    """The metrics of rolled-out runs of a split (record, one-run `RunGroup`, its `Rollout`): per
+    run, their mean, and those of the trivial predictors.
 
-    Args:
-      results: (record, one-run `RunGroup`, its `Rollout`).
-      model: its scene and statistics are read, and the edges of its graphs.
-      metadata: of the dataset; {} where the nodes of the groups are the solver's own particles.
-      split: of the runs.
-
-    Returns:
-      `mean` and `runs`, method -> errors: `soil_mm` (`soil_truth`), `soil_mse` within the subspace,
-      `rigid_mse`, `height_mm` of a driven body, those of `metrics.load_errors`; of the model also
-      its status and times.
+    Of the model its scene and statistics are read, and the edges of its graphs. `metadata` is that
+    of the dataset; {} where the nodes of the groups are the solver's own particles. `mean` and
+    `runs` are method -> errors: `soil_mm` (`soil_truth`), `soil_mse` within the subspace,
+    `rigid_mse`, `height_mm` of a driven body, those of `metrics.load_errors`; of the model also its
+    status and times.
     """
     scene, statistics = model.simulator.scene, model.simulator.statistics
     truths = _Truths(metadata, split, scene)
@@ -88,7 +75,13 @@ def summarise(results, model, metadata: dict, split: str) -> dict:
         }
         forces = dict.fromkeys(methods)
         if scene.has_force:
-            forces = _by_method(rollout.force, group.force, statistics.force_mean)
+            forces = {
+                'model': rollout.force,
+                'stay_still': np.repeat(group.force[:, H - 1 : H], n_frame, axis=1),
+                'constant_velocity': np.broadcast_to(
+                    statistics.force_mean, group.force[:, H:].shape
+                ),
+            }
         for name, rows in methods.items():
             position, truth = positions[name], recorded[:, H:]
             errors = {'rigid_mse': metrics.rigid_mse(position, truth, n_rigid)} if n_rigid else {}
@@ -130,16 +123,6 @@ class _Truths:
             found = reader.read(split, int(group.record[0]), nodes, self._n_soil)
         self.space = found.space
         return found
-
-
-def _by_method(predicted, recorded, mean) -> dict:
-    """A force [S, T - H, D] as the model and the trivial predictors have it."""
-    n_frame = recorded.shape[1] - H
-    return {
-        'model': predicted,
-        'stay_still': np.repeat(recorded[:, H - 1 : H], n_frame, axis=1),
-        'constant_velocity': np.broadcast_to(mean, recorded[:, H:].shape),
-    }
 
 
 def _summary(methods, truths, scene):
@@ -191,18 +174,14 @@ def total_force(force):
 def save_rollouts(
     path: str, split: str, results, summary: dict, metadata: dict, model_digest: str | None = None
 ) -> list[str]:
-    """Writes `rollout_{split}_{i}.npz` (DeepMind's key names) and `metrics.json` into a folder,
-    made if absent; returns the file names.
+    """Writes `rollout_{split}_{i}.npz` (DeepMind's key names) and `metrics.json`, the summary of
+    `summarise`, into a folder, made if absent; returns the file names.
 
     The files of an older evaluation of the split go when all new ones are complete. `metrics.json`
     goes first and comes last: where it lies, all rollouts beside it are of its evaluation.
-
-    Args:
-      results: (record, one-run `RunGroup`, its `Rollout`); without a group where the rollout knows
-        the arrays of its file.
-      summary: of `summarise`.
-      metadata: of the dataset.
-      model_digest: of `checkpoints.folder_digest`, kept in every file; None where there is none.
+    `results` are (record, one-run `RunGroup`, its `Rollout`), without a group where the rollout
+    knows the arrays of its file; `model_digest` of `checkpoints.folder_digest` is kept in every
+    file, None where there is none.
     """
     names = [f'rollout_{split}_{record}.npz' for record, _, _ in results]
 
@@ -223,14 +202,9 @@ def save_rollouts(
 
 
 def file_arrays(given, predicted, true, types, judgement, force=None, true_force=None) -> dict:
-    """The arrays of a rollout file, DeepMind's key names.
-
-    Args:
-      given, predicted, true: [H, V, 3], [T', V, 3], and [T', V, 3] or None, m.
-      types: int [V] of the particles.
-      judgement: of the rollout.
-      force, true_force: [T', 3] and [H + T', 3], N, or None.
-    """
+    """The arrays of a rollout file, DeepMind's key names: nodes given [H, V, 3], predicted [T', V,
+    3], and true [T', V, 3] or None, m; their types int [V]; the judgement of the rollout; force
+    [T', 3] and true force [H + T', 3], N, or None."""
     arrays = {
         'initial_positions': given,
         'predicted_rollout': predicted,

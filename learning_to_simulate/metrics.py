@@ -29,11 +29,10 @@ def height_mm(position, truth, n_rigid: int, up: int):
 def force_errors(force, truth, name: str = 'force') -> dict[str, np.ndarray]:
     """Errors of a force [S, T, D] (N; a torque N m), or of one axis of it, per run.
 
-    Returns:
-      with `name` as the first word: `_relative_l2` = |F̂ - F| / |F| over all frames and axes;
-      `_rmse` in N per component; `_mpe` in percent: mean over frames of |F̂| against that of |F|,
-      signed (Usmani & Skonieczny 2023, Table 3.3); `_peak`, the largest |F| of the run, and
-      `_peak_error`, how far that of the prediction is from it, N.
+    With `name` as the first word: `_relative_l2` = |F̂ - F| / |F| over all frames and axes; `_rmse`
+    in N per component; `_mpe` in percent: mean over frames of |F̂| against that of |F|, signed
+    (Usmani & Skonieczny 2023, Table 3.3); `_peak`, the largest |F| of the run, and `_peak_error`,
+    how far that of the prediction is from it, N.
     """
     error = force - truth
     sizes = [np.linalg.norm(f, axis=-1) for f in (force, truth)]
@@ -60,17 +59,9 @@ def travel_axes(body, up: int) -> tuple[int, int, int]:
 
 
 def load_errors(force, truth, axes, torque=None, true_torque=None) -> dict[str, np.ndarray]:
-    """Errors of force and torque as a whole and by axis, per run, as `force_errors`.
-
-    Args:
-      force, truth: [S, T, D B], N, on B bodies.
-      axes: of `travel_axes`.
-      torque, true_torque: [S, T, D], N m, or None.
-
-    Returns:
-      errors of `force`; of `drawbar`, the force along the way; of `vertical`; of `torque`, and of
-      `pitch`, the torque in the plane of travel.
-    """
+    """Errors of force [S, T, D B], N, on B bodies, and torque [S, T, D], N m, or None, as a whole
+    and by axis of `travel_axes`, per run, as `force_errors`: of `force`; of `drawbar`, the force
+    along the way; of `vertical`; of `torque`, and of `pitch`, the torque in the plane of travel."""
     along, up, across = axes
     found = force_errors(force, truth)
     for name, axis in (('drawbar', along), ('vertical', up)):

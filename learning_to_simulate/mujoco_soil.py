@@ -127,7 +127,6 @@ class MujocoSoil:
         self._loads = np.zeros((len(tools), 6))  # about the places of the tools, axes of lts
         self._slopes: list[Any] = [None] * len(tools)
         self._damping = [Damping() for _ in tools]
-        self._damped = np.zeros(len(tools))  # of `_loads`, N up
 
     def _check_time(self):
         if not 0 < self._model.opt.timestep <= DT * (1 + 1e-6):

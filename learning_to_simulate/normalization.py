@@ -151,10 +151,7 @@ class Statistics(Arrays):
 def compute_statistics(groups, metadata, scene: Scene, config: TrainConfig) -> Statistics:
     """Statistics of the training runs (list of `RunGroup`, whose last r nodes are modes) in
     float64; the config decides the family, and the published one comes from the validated metadata.
-
-    Raises:
-      ValueError: runs shorter than three frames, or a rate that is scaled with a body at rest.
-    """
+    ValueError for runs shorter than three frames, or a rate that is scaled with a body at rest."""
     positions = [group.position for group in groups]
     if min(p.shape[1] for p in positions) < 3:  # for an acceleration, x_2 - 2 x_1 + x_0
         raise ValueError('statistics need at least three frames per run')

@@ -6,12 +6,7 @@ A preset is a frozen config; flags override single fields.
 import dataclasses
 from typing import Any
 
-from learning_to_simulate.config import (
-    GRAPH_NETWORK,
-    FullSpaceConfig,
-    PathRidgeConfig,
-    TrainConfig,
-)
+from learning_to_simulate.config import GRAPH_NETWORK, FullSpaceConfig, PathRidgeConfig, TrainConfig
 from learning_to_simulate.soil_field import settings as soil_field_settings
 
 _PUBLISHED = {

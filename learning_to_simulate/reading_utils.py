@@ -90,12 +90,8 @@ class RunGroup:
 
     def all_particles(self, position, as_recorded: bool = False) -> list[np.ndarray]:
         """Puts the rigid particles and modes that are not nodes back, for writing; arguments as of
-        `with_left_modes`.
-
-        Returns:
-          per run [T', V', D] with all rigid particles and modes of the record; those of the body
-          that are no nodes are as recorded, since its motion is given.
-        """
+        `with_left_modes`. Returns per run [T', V', D] with all rigid particles and modes of the
+        record; those of the body that are no nodes are as recorded, since its motion is given."""
         position = self.with_left_modes(position, as_recorded)
         if self.body is None:
             return list(position)
@@ -119,11 +115,8 @@ def read_groups(
 ) -> list[RunGroup]:
     """Reads a split as groups of equal R and T, sorted by R; of each body with prescribed motion at
     most `rigid_particles` become nodes, the lowest ones of the first frame, and of the modes the
-    first `modes`; 0 keeps all.
-
-    Raises:
-      FileNotFoundError, ValueError: as `pca_tools.dataset.read_split`; more modes than there are.
-    """
+    first `modes`; 0 keeps all. FileNotFoundError, ValueError: as `pca_tools.dataset.read_split`;
+    more modes than there are."""
     if modes > metadata['mode_number']:
         raise ValueError(f'{folder}: has {metadata["mode_number"]} modes, {modes} were asked for')
     up = metadata.get('scene', {}).get('up_axis', 1)

@@ -23,9 +23,6 @@ particles where the dataset holds a sample of them, else it is rebuilt from the 
 subspace.npz; without one the body and the curves are drawn.
 """
 
-from __future__ import annotations
-
-import functools
 import os
 import time
 import zipfile
@@ -43,17 +40,6 @@ from pca_tools import files
 FORMATS = ('png', 'gif', 'mp4', 'vtp')
 # Pixels per inch of a page 9.6 inches wide.
 _DPI = {'png': 200, 'gif': 100, 'mp4': 150}
-
-
-def draw(rollout, path: str, step_stride: int = 3, **options) -> list[str]:
-    """Draws a `paths.SoilRollout` into a file .png, .gif or .mp4, every step_stride-th frame.
-
-    Raises:
-        ValueError: another ending, or as `render_frames`, whose `color_by` and `plane` are taken.
-    """
-    target, kind = target_and_format(path)
-    frames = rollout_frames.of_rollout(rollout, step_stride)
-    return render_frames(frames, target, [kind], step_stride, **options)
 
 
 def draw_terrain(arrays, path: str, name: str, **options) -> None:
@@ -86,24 +72,15 @@ def render(
     beside: Mapping[str, str] | None = None,
     **options,
 ) -> tuple[RolloutFrames, list[str]]:
-    """Draws a rollout file in one or several formats.
+    """Draws a rollout file `rollout_{split}_{i}.npz` in one or several of `FORMATS`, into a folder,
+    made if missing; the files take the rollout's name. Returns the rollout, and the files written
+    (of the `vtp`, the two collections).
 
-    Args:
-        rollout_path: `rollout_{split}_{i}.npz`.
-        data_path: dataset folder with `subspace.npz`, or None.
-        output_path: folder, made if missing; the files take the rollout's name.
-        formats: some of `FORMATS`.
-        label: name of the model, for the title of the prediction.
-        beside: name of a model -> rollout of the same run, drawn beside the first (not as `vtp`).
-        **options: of `render_frames`.
-
-    Returns:
-        The rollout, and the files written (of the `vtp`, the two collections).
-
-    Raises:
-        FileNotFoundError: the rollout or the dataset folder is missing.
-        ValueError: an unknown format, an input that `rollout_frames.load` refuses, or a package
-            for pictures is missing.
+    The dataset folder holds `subspace.npz`, or is None. `label` is the name of the model, for the
+    title of the prediction; `beside` name of a model -> rollout of the same run, drawn beside the
+    first (not as `vtp`). Options are those of `render_frames`. FileNotFoundError: the rollout or
+    the dataset folder is missing. ValueError: an unknown format, an input that
+    `rollout_frames.load` refuses, or a package for pictures is missing.
     """
     formats = tuple(dict.fromkeys(formats))
     unknown = [name for name in formats if name not in FORMATS]
@@ -128,22 +105,15 @@ def render_frames(
     progress: Callable = lambda frames, label: frames,
     beside: Sequence[RolloutFrames] = (),
 ) -> list[str]:
-    """Draws a rollout that is in memory; returns the files written.
+    """Draws a rollout that is in memory, and others `beside` it of the same run; returns the files
+    written.
 
-    Args:
-        frames: the rollout.
-        target: path of the files without their endings; its folder must exist.
-        formats: some of `FORMATS`.
-        step_stride: draw every step_stride-th frame, or the nearest to it that the particles have.
-        color_by: `speed` (mm/s) or `error` (mm).
-        plane: horizontal and vertical axis, a key of `rollout_frames.PLANES`; None for the view
-            from the side, with the scene's upward axis up.
-        progress: wraps the frames of a movie, called with them and a label.
-        beside: other rollouts of the same run.
-
-    Raises:
-        ValueError: errors are asked for where there is no truth, or a package for pictures is
-            missing.
+    `target` is their path without endings; its folder must exist. `formats` are some of `FORMATS`.
+    Every step_stride-th frame is drawn, or the nearest to it that the particles have. `color_by` is
+    `speed` (mm/s) or `error` (mm); `plane` horizontal and vertical axis, a key of
+    `rollout_frames.PLANES`, None for the view from the side, with the scene's upward axis up.
+    `progress` wraps the frames of a movie, called with them and a label. ValueError: errors are
+    asked for where there is no truth, or a package for pictures is missing.
     """
     if color_by == 'error' and not frames.has_truth:
         raise ValueError('color_by=error needs a recorded run; of a path there is no truth')
@@ -168,39 +138,12 @@ def render_frames(
         written.append(path)
         if name == 'png':
             strip = rollout_figures.strip_figure(frames, view, drawn.tolist(), _DPI[name], beside)
-            files.write_atomically(path, functools.partial(strip.savefig, format='png'))
+            movie_files.write_png(path, strip)
         else:
             figure = rollout_figures.AnimatedFigure(frames, view, color_by, _DPI[name], beside)
             pixels = (figure.draw(int(i)) for i in progress(drawn, name))
             movie_files.write(path, name, pixels, stride * apart * frames.dt)
     return written
-
-
-def define_flags() -> None:
-    flags.DEFINE_string(
-        'rollout_path',
-        None,
-        'rollout_{split}_{i}.npz, as train --mode=eval_rollout writes it.',
-        required=True,
-    )
-    flags.DEFINE_string(
-        'data_path', None, 'Dataset folder with subspace.npz; without one no soil is drawn.'
-    )
-    flags.DEFINE_string('output_path', None, 'Folder for the pictures.', required=True)
-    flags.DEFINE_integer('step_stride', 3, 'Draw every n-th frame.', 1)
-    flags.DEFINE_enum('color_by', 'speed', ('speed', 'error'), 'What colours the soil.')
-    flags.DEFINE_enum(
-        'plane',
-        None,
-        list(rollout_frames.PLANES),
-        'Horizontal and vertical axis of the view; default: from the side, upward axis up. With y '
-        'up xz is from above, zy along the drive.',
-    )
-    flags.DEFINE_string('label', '', 'Name of the model, for the title of the prediction.')
-    flags.DEFINE_list(
-        'beside', [], 'NAME=FILE of other rollouts of the same run, drawn beside the first.'
-    )
-    flags.DEFINE_list('format', 'png,gif,mp4', f'Any of {", ".join(FORMATS)}.')
 
 
 def _is_on_terrain(path):
@@ -252,5 +195,28 @@ def run(values) -> None:
 
 
 if __name__ == '__main__':
-    define_flags()
+    flags.DEFINE_string(
+        'rollout_path',
+        None,
+        'rollout_{split}_{i}.npz, as train --mode=eval_rollout writes it.',
+        required=True,
+    )
+    flags.DEFINE_string(
+        'data_path', None, 'Dataset folder with subspace.npz; without one no soil is drawn.'
+    )
+    flags.DEFINE_string('output_path', None, 'Folder for the pictures.', required=True)
+    flags.DEFINE_integer('step_stride', 3, 'Draw every n-th frame.', 1)
+    flags.DEFINE_enum('color_by', 'speed', ('speed', 'error'), 'What colours the soil.')
+    flags.DEFINE_enum(
+        'plane',
+        None,
+        list(rollout_frames.PLANES),
+        'Horizontal and vertical axis of the view; default: from the side, upward axis up. With y '
+        'up xz is from above, zy along the drive.',
+    )
+    flags.DEFINE_string('label', '', 'Name of the model, for the title of the prediction.')
+    flags.DEFINE_list(
+        'beside', [], 'NAME=FILE of other rollouts of the same run, drawn beside the first.'
+    )
+    flags.DEFINE_list('format', 'png,gif,mp4', f'Any of {", ".join(FORMATS)}.')
     command.start(run)

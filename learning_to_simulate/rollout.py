@@ -15,12 +15,7 @@ from learning_to_simulate.subspace.learned_simulator import (
     SimulatorState,
     initial_state,
 )
-from learning_to_simulate.subspace.rigid_body import (
-    KnownMotion,
-    corrected,
-    known_motion,
-    shape_of,
-)
+from learning_to_simulate.subspace.rigid_body import KnownMotion, corrected, known_motion, shape_of
 
 
 class Rollout(NamedTuple):
@@ -68,16 +63,10 @@ class RolloutFunction:
         self._run = tf.function(self._loop, jit_compile=True, autograph=False)
 
     def __call__(self, state: SimulatorState, known, context, n_frame: int):
-        """Rolls out `n_frame` frames.
-
-        Args:
-          state: after the first H frames.
-          known: `KnownMotion` with a leading frame axis [n_frame, B, ...], or None.
-          context: float32 [B, C], or [n_frame, B, C] where it changes in time, or None.
-
-        Returns:
-          offsets float32 [n_frame, B, V, D] and forces float32 [n_frame, B, F] or None.
-        """
+        """Rolls out `n_frame` frames from the state after the first H: offsets float32 [n_frame, B,
+        V, D] and forces float32 [n_frame, B, F] or None. `known` is a `KnownMotion` with a leading
+        frame axis [n_frame, B, ...], or None; the context float32 [B, C], or [n_frame, B, C] where
+        it changes in time, or None."""
         return self._run(state, known, context, n_frame)
 
     def _loop(self, state, known, context, n_frame):

@@ -149,13 +149,9 @@ def _limits(low, high, factor):
 
 
 class NodeRanges:
-    """The ranges of a model's training runs, for bodies of one size.
-
-    Args:
-      n_rigid: R.
-      statistics: of the training runs.
-      scene: says what of the body's motion is given.
-      force_limit: N, the largest force of the training runs, or None if it is not known.
+    """The ranges of a model's training runs by their statistics, for bodies of R particles. The
+    scene says what of the body's motion is given; `force_limit` is the largest force of the
+    training runs, N, or None if it is not known.
 
     Attributes:
       bounds, start_limits: [4, V, D] of predicted nodes, and of those of a start: least and most
@@ -204,16 +200,10 @@ class NodeRanges:
     def judge(
         self, frame: int, position, force=None, body=None, before=None, context=None
     ) -> Judgement:
-        """The judgement of a predicted frame.
-
-        Args:
-          frame: its number.
-          position: float64 [V, D], m.
-          force: [D] (or [B D] of several bodies), N, or None.
-          body, before: [R, D], m, the body as it was given in this frame and in the one before;
-            None where its motion is predicted.
-          context: [C] in this frame, or None where it is that of the last frame.
-        """
+        """The judgement of a predicted frame of a number: positions float64 [V, D], m; force [D]
+        (or [B D] of several bodies), N, or None; the body [R, D], m, as it was given in this frame
+        and in the one before, None where its motion is predicted; the context [C] in this frame, or
+        None where it is that of the last frame."""
         predicted = self._predicted(frame, position, force)
         if predicted is not OK:
             return predicted

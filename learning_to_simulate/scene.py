@@ -36,7 +36,8 @@ class RigidMotion(enum.StrEnum):
 
 @dataclasses.dataclass(frozen=True)
 class Scene:
-    """Static description of a scene; SI units.
+    """Static description of a scene; SI units. ValueError for a name that cannot be printed, which
+    XML and C could not hold either.
 
     Attributes:
       name: label for pictures and tables; nothing branches on it.
@@ -52,9 +53,6 @@ class Scene:
       connectivity_radius: length that scales edge features of the published presets, m.
       bodies: (name, number of nodes) of several bodies in the order of their nodes, all of given
         motion; () of one or none. Of each there is a force [D], one behind the other.
-
-    Raises:
-      ValueError: a name that cannot be printed, which XML and C could not hold either.
     """
 
     name: str
@@ -76,17 +74,12 @@ class Scene:
 
     @classmethod
     def from_metadata(cls, metadata, *, rigid_particle_type=None, rigid_motion=None) -> 'Scene':
-        """Reads a scene from validated metadata.
+        """Reads a scene from metadata of `pca_tools.dataset.read_metadata`.
 
-        Args:
-          metadata: dict as `pca_tools.dataset.read_metadata` returns it.
-          rigid_particle_type: of the first node of the records; decides the rigid motion of folders
-            that carry no scene (3, kinematic: prescribed; other: predicted).
-          rigid_motion: overrides the motion, e.g. 'driven' for the authors' wheel or 'predicted'
-            for the published way.
-
-        Raises:
-          ValueError: if the rigid motion is unknown, or neither stated nor deducible.
+        `rigid_particle_type`, of the first node of the records, decides the rigid motion of folders
+        that carry no scene (3, kinematic: prescribed; other: predicted). `rigid_motion` overrides
+        the motion, e.g. 'driven' for the authors' wheel or 'predicted' for the published way.
+        ValueError if it is unknown, or neither stated nor deducible.
         """
         stated = metadata.get('scene', {})
         motion = rigid_motion or stated.get('rigid_motion')

@@ -9,8 +9,6 @@ Records alone hold mode scores. The modes are orthonormal, so the squared error 
 the last term as the converter stated it; where nobody did, the error is one in the subspace.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import os
 from typing import Any
@@ -104,11 +102,8 @@ class SoilTruth:
 
 class TruthReader:
     """Reads the soil of the runs of a dataset folder; '' where there are records alone. `subspace`
-    is that of the records, or None where the folder has none.
-
-    Raises:
-      FileNotFoundError, ValueError: no dataset, or a damaged or foreign file.
-    """
+    is that of the records, or None where the folder has none. FileNotFoundError, ValueError: no
+    dataset, or a damaged or foreign file."""
 
     def __init__(self, folder: str, metadata: dict | None = None):
         self.folder = folder
@@ -159,14 +154,10 @@ class TruthReader:
 
 
 def of_nodes(nodes, n_soil: int, floor: float | None = None, space: str = '') -> SoilTruth:
-    """The soil of a run as its record has it.
-
-    Args:
-      nodes: float64 [T, r, 3], mode scores, or the particles of a record without modes.
-      n_soil: N particles that they stand for.
-      floor: truncation error of the run, m2, or None where it is not known.
-      space: what its errors are called; '' for that of modes.
-    """
+    """The soil of a run as its record has it: nodes float64 [T, r, 3], mode scores, or the
+    particles of a record without modes, which stand for `n_soil` particles N. `floor` is the
+    truncation error of the run, m2, or None where it is not known; `space` what its errors are
+    called, '' for that of modes."""
     return SoilTruth(
         frames=np.arange(H, len(nodes)),
         particles=nodes[H:],

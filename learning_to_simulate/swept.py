@@ -16,23 +16,22 @@ from typing import NamedTuple
 
 import numpy as np
 
+from learning_to_simulate.live.poses import numbers
+
 EDGE_RADIUS = 0.014  # of the solver's blade: half its thickness, m
 TINY = 1e-37  # less than any length, m
 
 
 @dataclasses.dataclass(frozen=True)
 class SweptGrid:
-    """Bins along the way of travel, and the circle that sweeps them.
+    """Bins along the way of travel, and the circle that sweeps them. ValueError for a length that
+    is not positive, or a circle narrower than two bins: it could pass between their centres.
 
     Attributes:
       radius: of the tool's underside, m; a blade's edge has half its thickness.
       spacing: of the bins, m.
       behind, ahead: how far the bins reach behind and ahead of the tool's first position, m.
       forget: distance since the last passage is cut here, m; soil that was never passed has it.
-
-    Raises:
-      ValueError: a length that is not positive, or a circle narrower than two bins: it could pass
-        between their centres.
     """
 
     radius: float
@@ -58,17 +57,16 @@ class SweptGrid:
         first = int(np.floor(self.behind / self.spacing))
         return self.spacing * np.arange(-first, int(np.floor(self.ahead / self.spacing)) + 1)
 
-    def check_within(self, offset, radius) -> None:
-        """Raises ValueError where one of B tools of some radius (m) at offsets [B] (m) from their
-        first positions reaches beyond the bins."""
+    def check_within(self, offset) -> None:
+        """Raises ValueError where one of B tools at offsets [B] (m) from their first positions
+        reaches beyond the bins."""
         low, high = self.offsets[[0, -1]]
-        outside = (offset - radius < low) | (offset + radius > high)
+        outside = (offset - self.radius < low) | (offset + self.radius > high)
         if outside.any():
             tool = int(np.argmax(outside))
             raise ValueError(
                 f'tool {tool} is {offset[tool]:.3g} m from its first position; with its radius of '
-                f'{np.broadcast_to(radius, outside.shape)[tool]:.3g} m the bins from {low:.3g} to '
-                f'{high:.3g} m do not hold it'
+                f'{self.radius:.3g} m the bins from {low:.3g} to {high:.3g} m do not hold it'
             )
 
 
@@ -103,22 +101,12 @@ class SweptBed(NamedTuple):
 
 
 def start(grid: SweptGrid, position, surface) -> SweptBed:
-    """The state before any motion: the circle has been where it is now.
-
-    Args:
-      position: [B, 2] first u and y of the centre, m.
-      surface: height of the bed, m: a number, or [B, n] at `position[:, :1] + grid.offsets`.
-
-    Raises:
-      ValueError: shapes that do not fit, or values that are not finite.
-    """
-    position = checked('position', position, (None, 2))
+    """The state before any motion: the circle has been where it is now, its centre at u and y of
+    `position` [B, 2], m. `surface` is the height of the bed, m: a number, or [B, n] at `position[:,
+    :1] + grid.offsets`. ValueError for shapes that do not fit, or values that are not finite."""
+    position = numbers('position', position, (None, 2))
     shape = len(position), len(grid.offsets)
-    if np.ndim(surface):
-        surface = checked('surface', surface, shape)
-    elif not np.isfinite(surface):
-        raise ValueError(f'surface is {surface}')
-    surface = np.broadcast_to(np.asarray(surface, np.float64), shape).copy()
+    surface = np.broadcast_to(numbers('surface', surface, (), shape), shape).copy()
     # Nothing was passed yet: all that counts as `forget` behind.
     state = SweptBed(
         origin=position[:, 0],
@@ -135,14 +123,11 @@ def start(grid: SweptGrid, position, surface) -> SweptBed:
 
 def advance(grid: SweptGrid, state: SweptBed, position, dt) -> SweptBed:
     """The state after the tools have gone straight to their next positions [B, 2], m, within dt s.
-
-    Raises:
-      ValueError: a time that does not pass; a position that is not finite, or whose underside
-        reaches beyond the bins.
-    """
+    ValueError for a time that does not pass; a position that is not finite, or whose underside
+    reaches beyond the bins."""
     check_time(dt)
-    position = checked('position', position, state.position.shape)
-    grid.check_within(position[:, 0] - state.origin, grid.radius)
+    position = numbers('position', position, state.position.shape)
+    grid.check_within(position[:, 0] - state.origin)
     return _cut(grid, state, position, dt)
 
 
@@ -150,19 +135,6 @@ def check_time(dt) -> None:
     """Raises ValueError for a duration (s) that is not positive and finite."""
     if not 0 < dt < np.inf:
         raise ValueError(f'a frame must last longer than 0 s, got {dt}: time does not go back')
-
-
-def checked(name: str, values, shape) -> np.ndarray:
-    """float64 values of a shape, None for any length; ValueError for another shape, or values that
-    are not finite."""
-    values = np.asarray(values, np.float64)
-    if values.ndim != len(shape) or any(n not in (None, m) for n, m in zip(shape, values.shape)):
-        wanted = ', '.join('B' if n is None else str(n) for n in shape)
-        raise ValueError(f'{name} has shape {values.shape}, [{wanted}] was expected')
-    if not np.isfinite(values).all():
-        tool = int(np.argwhere(~np.isfinite(values))[0][0])
-        raise ValueError(f'{name} of tool {tool} is not finite: {values[tool]}')
-    return values
 
 
 def _cut(grid, state, position, dt):
@@ -175,14 +147,9 @@ def _cut(grid, state, position, dt):
 
 
 def after_step(state, height, tip, length) -> dict[str, np.ndarray]:
-    """Fields of a state that a step changes, of `SweptBed` and of `soil_field.sweep.Sweep`: (2),
-    (5).
-
-    Args:
-      state: before the step.
-      height: [B, n] of `underside`, m.
-      tip, length: [B], u at which the step ends and its length, m.
-    """
+    """Fields of a state, of `SweptBed` and of `soil_field.sweep.Sweep`, that a step changes: (2),
+    (5). Of the state before the step; height [B, n] of `underside`, m; tip and length [B], u at
+    which the step ends and its length, m."""
     passed, travelled = height < state.surface, state.travelled + length
     return {
         'profile': np.minimum(state.profile, height),
@@ -233,11 +200,8 @@ def swept_area(grid: SweptGrid, state: SweptBed) -> np.ndarray:
 
 
 def profile_at(grid: SweptGrid, state: SweptBed, u) -> np.ndarray:
-    """Deepest cut so far at places u [B, ...] (m), linear between bins; height in m."""
-    places = np.asarray(u, np.float64)
-    offset = places - state.origin.reshape(-1, *[1] * (places.ndim - 1))
-    flat = offset.reshape(len(places), -1)
-    return channels_at(grid, state.profile[..., None], flat)[..., 0].reshape(places.shape)
+    """Deepest cut so far at places u [B, P] (m), linear between bins; height in m."""
+    return channels_at(grid, state.profile[..., None], u - state.origin[:, None])[..., 0]
 
 
 def channels_at(grid: SweptGrid, values, offset) -> np.ndarray:

@@ -72,11 +72,9 @@ _INITIAL_WEIGHTS = flags.DEFINE_string(
 )
 flags.DEFINE_integer('num_threads', None, 'CPU threads of TensorFlow; default: its own choice.', 1)
 
-# Settings of the model. Those that are set often have a flag of their name.
+# Settings of the model.
 _PRESET = flags.DEFINE_string(
-    'preset',
-    None,
-    f'One of {", ".join(presets.PRESETS)}; default: the one of --model, else pcg.',
+    'preset', None, f'One of {", ".join(presets.PRESETS)}; default: the one of --model, else pcg.'
 )
 _CONFIG = flags.DEFINE_string(
     'config', None, 'JSON file of settings {name: value}, or the config.json of a model.'
@@ -87,36 +85,26 @@ _SET = flags.DEFINE_multi_string(
     'NAME=VALUE of any setting; may be given again. config.py says what each means: '
     + ', '.join(f'{name} ({kind.__name__})' for name, kind in presets.setting_types().items()),
 )
+# Those that are set often have a flag of their name.
+_OFTEN_SET = {
+    'model': "Method; overrides the preset's: "
+    + '; '.join(f'{name}, {method.about}' for name, method in registry.METHODS.items()),
+    'adjacency': 'Edges: edges.json, mask.npy, fully_connected, algorithm2, correlation, random '
+    'or none.',
+    'mode_edges': 'Number of edges between modes, the best ranked ones.',
+    'gate_weight': 'Above 0, edges are learned; weight of their number in the loss.',
+    'modes': 'Number of first modes that become nodes; 0: all.',
+    'rigid_particles': 'Number of particles of a blade that become nodes, lowest first.',
+    'latent_size': 'Width of the network.',
+    'members': 'Networks of a soil field that are averaged.',
+    'num_steps': 'Training steps in all; of a soil field, those of its load.',
+    'batch_size': 'Windows in a batch.',
+    'noise_std': 'Random-walk noise of the last input step.',
+    'seed': 'Seed of weights, batches and noise.',
+}
+_DEFINE = {str: flags.DEFINE_string, int: flags.DEFINE_integer, float: flags.DEFINE_float}
 _FLAGS = [
-    flags.DEFINE_string(
-        'model',
-        None,
-        "Method; overrides the preset's: "
-        + '; '.join(f'{name}, {method.about}' for name, method in registry.METHODS.items()),
-    ),
-    flags.DEFINE_string(
-        'adjacency',
-        None,
-        'Edges: edges.json, mask.npy, fully_connected, algorithm2, correlation, random or none.',
-    ),
-    flags.DEFINE_integer(
-        'mode_edges', None, 'Number of edges between modes, the best ranked ones.'
-    ),
-    flags.DEFINE_float(
-        'gate_weight', None, 'Above 0, edges are learned; weight of their number in the loss.'
-    ),
-    flags.DEFINE_integer('modes', None, 'Number of first modes that become nodes; 0: all.'),
-    flags.DEFINE_integer(
-        'rigid_particles', None, 'Number of particles of a blade that become nodes, lowest first.'
-    ),
-    flags.DEFINE_integer('latent_size', None, 'Width of the network.'),
-    flags.DEFINE_integer('members', None, 'Networks of a soil field that are averaged.'),
-    flags.DEFINE_integer(
-        'num_steps', None, 'Training steps in all; of a soil field, those of its load.'
-    ),
-    flags.DEFINE_integer('batch_size', None, 'Windows in a batch.'),
-    flags.DEFINE_float('noise_std', None, 'Random-walk noise of the last input step.'),
-    flags.DEFINE_integer('seed', None, 'Seed of weights, batches and noise.'),
+    _DEFINE[presets.setting_types()[name]](name, None, text) for name, text in _OFTEN_SET.items()
 ]
 
 

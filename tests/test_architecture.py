@@ -48,8 +48,8 @@ MAY_IMPORT = {
 # The main package from the ground up: a module imports those of its own line and of lines above,
 # inside functions too. The longest name that fits says which line a module is on.
 LAYERS = (
-    ('_version', 'command', 'scene', 'known_shapes', 'metrics', 'config',
-     'soil_truth', 'rendering', 'shipped', 'error_bound', 'axes', 'swept', 'bed'),
+    ('_version', 'command', 'scene', 'metrics', 'config',
+     'soil_truth', 'rendering', 'shipped', 'error_bound', 'axes', 'swept', 'bed', 'live.poses'),
     ('render_rollout', 'connectivity_utils', 'reading_utils', 'normalization', 'checkpoints',
      'registry'),
     ('subspace', 'rollout_status', 'rollout', 'evaluation', 'training', 'live'),

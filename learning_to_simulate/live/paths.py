@@ -25,7 +25,6 @@ class SoilRollout(Judged):
       history: float64 [H, V, 3], m: the given frames; R nodes of the body, then r modes.
       soils: T' `live.soil.Soil`.
       force: float32 [T', 3], N, or None.
-      rigid_nodes: float64 [T', R, 3], m: the nodes of the body.
       judgement: the worst status, with the first frame in which it holds and the reason.
       frame_status: T' statuses: of each frame of a path alone; of a recorded run, from the first
         bad frame on.
@@ -41,7 +40,6 @@ class SoilRollout(Judged):
     history: np.ndarray
     soils: Any
     force: np.ndarray | None
-    rigid_nodes: np.ndarray
     judgement: Judgement
     frame_status: tuple[RolloutStatus, ...]
     body: np.ndarray
@@ -81,10 +79,6 @@ class SoilRollout(Judged):
             return np.stack([soil.particles() for soil in self.soils])
         return self.soils[frame].particles()
 
-    def height_map(self, nx: int, nz: int, frame: int = -1) -> np.ndarray:
-        """float32 [nx, nz] heights of the surface in a frame, m; see `soil.surface`."""
-        return self.soils[frame].height_map(nx, nz)
-
     def save(self, path: str) -> None:
         """Writes an `.npz` that `render_rollout` reads, whole or not at all; DeepMind's key
         names."""
@@ -108,26 +102,25 @@ class SoilRollout(Judged):
             arrays['particle_indices'] = self.soil_truth.indices
         files.write_npz(path, **arrays)
 
-    def render(self, path: str, **options) -> None:
-        """Draws the rollout into a file .png, .gif or .mp4; options `step_stride`, `color_by` and
-        `plane` of `render_rollout.render_frames`. ValueError: another ending, or a package for
-        pictures is missing (pip install .[viz])."""
+    def render(self, path: str, step_stride: int = 3, **options) -> None:
+        """Draws the rollout into a file .png, .gif or .mp4, every step_stride-th frame; options
+        `color_by` and `plane` of `render_rollout.render_frames`. ValueError: another ending, or a
+        package for pictures is missing (pip install .[viz])."""
         from learning_to_simulate import render_rollout
+        from learning_to_simulate.rendering import rollout_frames
 
-        render_rollout.draw(self, path, **options)
+        target, kind = render_rollout.target_and_format(path)
+        frames = rollout_frames.of_rollout(self, step_stride)
+        render_rollout.render_frames(frames, target, [kind], step_stride, **options)
 
 
 def roll_out(stepper, path, velocity=None, case=None, context=None) -> SoilRollout:
-    """Steps a model along a path.
+    """Steps a model along a path, by a `stepper.Stepper` that flags; it is left at the end of it.
 
-    Args:
-      stepper: `stepper.Stepper` that flags; it is left at the end of the path.
-      path: [T, 7] or [T, 3] poses (see `poses`), T >= 2; the body is at the first when it starts.
-      velocity: at its beginning; None for that of its first two poses.
-      case, context: as `Stepper.start`; a context that changes in time is [T, C].
-
-    Raises:
-      ValueError: not such a path; as `Stepper.step`.
+    The path has T >= 2 poses [T, 7] or [T, 3] (see `poses`); the body is at the first when it
+    starts, with `velocity`, None for that of its first two poses. Case and context are those of
+    `Stepper.start`; a context that changes in time is [T, C]. ValueError for no such path; as
+    `Stepper.step`.
     """
     scene, names = stepper.scene, stepper.scene.context_names
     values = poses.numbers('path', path, (None, 7), (None, 3))
@@ -145,13 +138,12 @@ def roll_out(stepper, path, velocity=None, case=None, context=None) -> SoilRollo
     start = stepper.state.start
     known = scene.rigid_motion.is_known
     frames = [
-        stepper.step(pose if known else None, None if k is None else k)
-        for pose, k in zip(values[1:], contexts[1:], strict=True)
+        stepper.step(pose if known else None, now)
+        for pose, now in zip(values[1:], contexts[1:], strict=True)
     ]
     history, n = start.history(), len(start.kept)
-    rigid_nodes = np.stack([frame.rigid_pose for frame in frames])
     path = np.concatenate([start.past(), values[1:]]) if known else None
-    nodes = np.concatenate([history[:, :n], rigid_nodes])
+    nodes = np.concatenate([history[:, :n], [frame.rigid_pose for frame in frames]])
     force = None
     if frames[0].force is not None:
         force = np.array([frame.force for frame in frames], np.float32)
@@ -159,7 +151,6 @@ def roll_out(stepper, path, velocity=None, case=None, context=None) -> SoilRollo
         history=history,
         soils=[frame.soil for frame in frames],
         force=force,
-        rigid_nodes=rigid_nodes,
         judgement=frames[-1].judgement,
         frame_status=tuple(frame.now for frame in frames),
         body=_whole_body(start, path, nodes, scene),
@@ -170,7 +161,6 @@ def roll_out(stepper, path, velocity=None, case=None, context=None) -> SoilRollo
 def of_recorded_run(group, rollout, scene, soils, name: str) -> SoilRollout:
     """The rollout of a recorded run, with its truth: of a one-run `RunGroup`, its
     `rollout.Rollout`, the scene of the model, and soils of its frames, see `live.soil`."""
-    n = group.n_rigid
     (judgement,) = rollout.judgements
     history = group.position[0, :H]
     true = group.all_particles(group.position, as_recorded=True)[0]
@@ -183,7 +173,6 @@ def of_recorded_run(group, rollout, scene, soils, name: str) -> SoilRollout:
         history=history,
         soils=soils,
         force=None if rollout.force is None else total_force(rollout.force[0]),
-        rigid_nodes=rollout.position[0, :, :n],
         judgement=judgement,
         frame_status=tuple(judgement.status if x else RolloutStatus.OK for x in bad),
         body=predicted[:, :n_body],

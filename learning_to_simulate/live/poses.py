@@ -21,13 +21,9 @@ LARGEST = float(np.finfo(np.float32).max)  # the models compute in float32
 
 
 def numbers(name: str, values, *shapes: tuple) -> np.ndarray:
-    """A float64 copy of what a user gives, of one of some shapes (None: any length), or an error
-    that says what is wrong.
-
-    Raises:
-      ValueError: not real numbers (texts, dates, Booleans, complex or masked values), another
-        shape, or values that are not finite in float32.
-    """
+    """A float64 copy of what a user gives, of one of some shapes (None: any length). ValueError
+    that says what is wrong: not real numbers (texts, dates, Booleans, complex or masked values),
+    another shape, or values that are not finite in float32."""
     try:
         array = np.asanyarray(values)
     except (TypeError, ValueError) as error:
@@ -68,14 +64,6 @@ class PoseReader:
         position[[0, self._up, self._across]] = values[0], values[1], self._lateral
         return np.concatenate([position, self._turned(values[2])])
 
-    def read_velocity(self, velocity) -> np.ndarray:
-        """Linear (m/s) and angular (rad/s) velocity in the world's axes, float64 [6], of [6], of a
-        linear one [3], or of None for a body at rest."""
-        if velocity is None:
-            return np.zeros(6)
-        values = numbers('velocity', velocity, (6,), (3,))
-        return np.concatenate([values, np.zeros(6 - len(values))])
-
     def _turned(self, angle):
         """Quaternion of a turn from the drive axis towards the height axis."""
         turn = np.zeros(4)
@@ -83,6 +71,13 @@ class PoseReader:
         sign = 1.0 if (self._up, self._across) in ((1, 2), (2, 0)) else -1.0
         turn[0], turn[1 + self._across] = np.cos(angle / 2), sign * np.sin(angle / 2)
         return turn
+
+
+def read_velocity(velocity) -> np.ndarray:
+    """Linear (m/s) and angular (rad/s) velocity in the world's axes, float64 [6], of [6], of a
+    linear one [3], or of None for a body at rest."""
+    values = np.zeros(3) if velocity is None else numbers('velocity', velocity, (6,), (3,))
+    return np.pad(values, (0, 6 - len(values)))
 
 
 def _unit(quaternion):

@@ -7,15 +7,8 @@ from pca_tools.subspace import Subspace
 
 def surface(points, extent, up_axis: int, nx: int, nz: int) -> np.ndarray:
     """Heights of particles [N, 3] (m) on a grid: float32 [nx, nz], m, of the highest particle of
-    each cell; NaN where a cell has none.
-
-    Args:
-      extent: [2, 2], m, lowest and highest of the two level axes; particles beyond it count in the
-        cells of the rim.
-
-    Raises:
-      ValueError: no cells.
-    """
+    each cell; NaN where a cell has none. `extent` [2, 2], m, are lowest and highest of the two
+    level axes; particles beyond it count in the cells of the rim. ValueError for no cells."""
     if nx < 1 or nz < 1:
         raise ValueError(f'a height map of {nx} x {nz} cells has none')
     low, high = np.transpose(extent)
@@ -27,21 +20,16 @@ def surface(points, extent, up_axis: int, nx: int, nz: int) -> np.ndarray:
     return np.where(np.isinf(heights), np.float32(np.nan), heights).reshape(nx, nz)
 
 
-def plan_extent(points, up: int) -> np.ndarray:
-    """float64 [2, 2], m: lowest and highest of each axis of a bed [N, D] seen from above."""
-    plan = np.delete(np.asarray(points, np.float64), up, axis=1)
-    return np.stack([plan.min(axis=0), plan.max(axis=0)], axis=1)
-
-
 class Decoder:
     """Decodes the scores of a subspace, in float32; `extent` [2, 2], m, is what a height map spans,
-    the bed at rest (see `plan_extent`)."""
+    lowest and highest of each level axis of the bed at rest."""
 
     def __init__(self, subspace: Subspace, up_axis: int):
-        self.subspace, self.up_axis = subspace, up_axis
+        self.up_axis = up_axis
         self._components = np.ascontiguousarray(subspace.components, np.float32)
         self._mean = np.asarray(subspace.mean, np.float32)
-        self.extent = plan_extent(subspace.initial, up_axis)
+        plan = np.delete(np.asarray(subspace.initial, np.float64), up_axis, axis=1)
+        self.extent = np.stack([plan.min(axis=0), plan.max(axis=0)], axis=1)
 
     def particles(self, modes) -> np.ndarray:
         """float32 [..., N, D], m, of scores [..., r, D] (inverse PCA)."""
@@ -61,15 +49,12 @@ class Soil:
 
     def particles(self) -> np.ndarray:
         """float32 [N, D], m; ValueError without a subspace."""
-        return self._decoded_by().particles(self.modes)
+        if self._decoder is None:
+            raise ValueError('particles need a subspace: the model has none')
+        return self._decoder.particles(self.modes)
 
     def height_map(self, nx: int, nz: int) -> np.ndarray:
         """float32 [nx, nz] heights of the surface over the bed at rest, along the drive and across
         it, m: see `surface`."""
-        decoder = self._decoded_by()
-        return surface(decoder.particles(self.modes), decoder.extent, decoder.up_axis, nx, nz)
-
-    def _decoded_by(self):
-        if self._decoder is None:
-            raise ValueError('particles need a subspace: the model has none')
-        return self._decoder
+        points, decoder = self.particles(), self._decoder
+        return surface(points, decoder.extent, decoder.up_axis, nx, nz)

@@ -166,12 +166,8 @@ def write(model_path: str, data_path: str, nodes: dict) -> dict[str, str]:
 
 
 def read(model_path: str) -> tuple[Starts, Subspace | None]:
-    """The starts and the subspace of a self-contained model folder.
-
-    Raises:
-      FileNotFoundError: the folder holds no starts.
-      ValueError: a file is damaged or is not the one of this model.
-    """
+    """The starts and the subspace of a self-contained model folder. FileNotFoundError: it holds no
+    starts. ValueError: a file is damaged or is not the one of this model."""
     stored = checkpoints.read_config(model_path).get('files')
     if not isinstance(stored, dict) or START_FILE not in stored:
         raise FileNotFoundError(
@@ -217,18 +213,29 @@ def _parse(path):
     return starts
 
 
+def read_context(scene, context) -> np.ndarray:
+    """float64 [C] of a context [C] or {name: value}; ValueError for a scene without one, other
+    names, no numbers."""
+    names = scene.context_names
+    if not names:
+        raise ValueError(f'the scene {scene.name} takes no context')
+    if isinstance(context, dict):
+        if set(context) != set(names):
+            raise ValueError(f'context names {sorted(context)}, must name {list(names)}')
+        context = [context[name] for name in names]
+    return poses.numbers('context', context, (len(names),))
+
+
 class Start:
     """Checked input of a start: what a user gives to `Stepper.start`, and the rest from that of a
-    case.
+    case. ValueError for no such case, not a pose, a velocity or a context.
 
     Attributes:
       body, kept: particles of the body in its own frame, and which are nodes.
+      read: of `poses.PoseReader`.
       pose: float64 [7].
       velocity: float64 [6], m/s and rad/s.
       context: float64 [C] or None.
-
-    Raises:
-      ValueError: no such case, not a pose, a velocity or a context.
     """
 
     def __init__(self, scene, starts: Starts, pose=None, velocity=None, case=None, context=None):
@@ -236,7 +243,7 @@ class Start:
         contexts: Any = starts.context  # there is one for every start, or the scene names none
         self._index = starts.index(case)
         if context is not None:
-            context = self.read_context(context)
+            context = read_context(scene, context)
             if case is None:  # the bed of the most similar case
                 spread = contexts.std(axis=0)
                 far = (contexts - context) / np.where(spread > 0, spread, 1.0)
@@ -246,25 +253,9 @@ class Start:
         self.context = context
         self.body, self.kept = starts.body[self._index], starts.kept[self._index]
         up = scene.up_axis
-        self._reader = poses.PoseReader(up, starts.pose[self._index, 2 if up != 2 else 1])
-        self.pose = starts.pose[self._index] if pose is None else self._reader.read(pose)
-        self.velocity = self._reader.read_velocity(velocity)
-
-    def read(self, pose) -> np.ndarray:
-        """As `poses.PoseReader.read`."""
-        return self._reader.read(pose)
-
-    def read_context(self, context) -> np.ndarray:
-        """float64 [C] of a context [C] or {name: value}; ValueError for a scene without one, other
-        names, no numbers."""
-        names = self._scene.context_names
-        if not names:
-            raise ValueError(f'the scene {self._scene.name} takes no context')
-        if isinstance(context, dict):
-            if set(context) != set(names):
-                raise ValueError(f'context names {sorted(context)}, must name {list(names)}')
-            context = [context[name] for name in names]
-        return poses.numbers('context', context, (len(names),))
+        self.read = poses.PoseReader(up, starts.pose[self._index, 2 if up != 2 else 1]).read
+        self.pose = starts.pose[self._index] if pose is None else self.read(pose)
+        self.velocity = poses.read_velocity(velocity)
 
     def nodes(self, pose) -> np.ndarray:
         """float64 [R, 3], m, at a pose."""
@@ -290,18 +281,16 @@ class RecordedStart:
     velocity = None
 
     def __init__(self, scene, n_rigid: int, history, context=None):
-        self._scene, self._n = scene, n_rigid
+        self._n = n_rigid
         shape = (H, n_rigid + scene.n_modes, None)
         self._history = poses.numbers('history', history, shape)
         self._history.setflags(write=False)
         names = scene.context_names
         if (context is None) == bool(names):
             raise ValueError(f'the scene takes context {list(names)}, got {context}')
-        self.context = None if context is None else self.read_context(context)  # type: ignore[misc]
+        self.context = None if context is None else read_context(scene, context)
         self.kept = np.arange(n_rigid)
         self.pose = None
-
-    read_context = Start.read_context
 
     def read(self, body) -> np.ndarray:
         """float64 [R, D] of the particles of a body."""

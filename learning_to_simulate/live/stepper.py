@@ -19,7 +19,7 @@ import numpy as np
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.live import poses
 from learning_to_simulate.live.soil import Decoder, Soil
-from learning_to_simulate.live.starts import RecordedStart, Start
+from learning_to_simulate.live.starts import RecordedStart, Start, read_context
 from learning_to_simulate.live.tf_step import TfStep
 from learning_to_simulate.rollout_status import OK, Judgement, NodeRanges, RolloutStatus, worse
 from learning_to_simulate.scene import RigidMotion
@@ -125,10 +125,7 @@ class Stepper:
             self._decoder = Decoder(model.fitting_subspace(subspace), self.scene.up_axis)
         self._lock = threading.Lock()
         self._sizes: dict[int, tuple] = {}  # R -> step and ranges
-        self._start: Any = None
-        self._last: Any = None
-        self._body: Any = None
-        self._count = 0
+        self._run: StepperState | None = None  # but for what its step knows
         self._allowed = {n_rigid} if starts is None else {len(kept) for kept in starts.kept}
         # Compiles now and not in the first frame.
         self._now, self._ranges = self._of_size(len(starts.kept[0]) if n_rigid is None else n_rigid)
@@ -141,10 +138,6 @@ class Stepper:
     @property
     def dt(self) -> float:
         return self.scene.dt
-
-    @property
-    def cases(self) -> list:
-        return [values.get('case') for values in self.starts.cases]
 
     def _of_size(self, n_rigid):
         if n_rigid not in self._sizes:
@@ -214,11 +207,11 @@ class Stepper:
         else:  # the frames before the newest one are made up
             before = history[-2, :n] if start.velocity.any() else None
             judgement = ranges.start(history[-1], start.context, before)
-        self._now, self._ranges, self._start, self._count = step, ranges, start, 0
-        self._body = history[-1, :n]
+        self._now, self._ranges, body = step, ranges, history[-1, :n]
         force = self._by_body(np.zeros(self._model.simulator.force_size, np.float32))
         soil = Soil(history[-1, n:], self._decoder)
-        self._last = Frame(judgement, soil, self._body, start.pose, force, judgement.status)
+        frame = Frame(judgement, soil, body, start.pose, force, judgement.status)
+        self._run = StepperState(start, frame, 0, body, None)
         return judgement
 
     def step(self, pose=None, context=None, dt: float | None = None) -> Frame:
@@ -239,9 +232,10 @@ class Stepper:
           RuntimeError: another thread is at work here.
         """
         with _held(self._lock):
-            last, start, scene = self._newest(), self._start, self.scene
+            run, scene = self._begun(), self.scene
+            last, start = run.frame, run.start
             if context is not None:
-                context = start.read_context(context)
+                context = read_context(scene, context)
             if pose is not None:
                 pose = start.read(pose)
             if scene.rigid_motion.is_known != (pose is not None):
@@ -253,27 +247,28 @@ class Stepper:
                     f'divided; hold the last frame in between'
                 )
             body = None if pose is None else start.nodes(pose)
-            moved = None if body is None else body - self._body
+            moved = None if body is None else body - run.body
             position, flat = self._now.propose(body, moved, context)
-            number, n = H + self._count, len(start.kept)
-            alone = self._ranges.judge(number, position, flat, body, self._body, context)
+            number, n = H + run.count, len(start.kept)
+            alone = self._ranges.judge(number, position, flat, body, run.body, context)
             so_far = worse(last.judgement, alone)
             if alone.status != RolloutStatus.OK and self._outside != FLAG:
                 if self._outside == RAISE:
                     raise ValueError(f'{alone.status}: {alone.reason}; the state stays as it was')
-                self._last = last._replace(judgement=so_far)
-                return self._last._replace(now=alone.status)
+                held = last._replace(judgement=so_far)
+                self._run = run._replace(frame=held)
+                return held._replace(now=alone.status)
             force = self._by_body(flat)
             for values in (position, force):
                 if values is not None:
                     values.setflags(write=False)
-            soil, at = Soil(position[n:], self._decoder), self._pose(pose, position[:n])
+            soil, at = Soil(position[n:], self._decoder), self._pose(start, pose, position[:n])
             frame = Frame(so_far, soil, position[:n], at, force, alone.status)
             if alone.status == RolloutStatus.NON_FINITE:
-                self._last = last._replace(judgement=so_far)
+                self._run = run._replace(frame=last._replace(judgement=so_far))
                 return frame
             self._now.accept()
-            self._body, self._count, self._last = body, self._count + 1, frame
+            self._run = StepperState(start, frame, run.count + 1, body, None)
             return frame
 
     def _by_body(self, force):
@@ -283,9 +278,8 @@ class Stepper:
             return None
         return force.reshape(-1, simulator.dim) if simulator.force_size > simulator.dim else force
 
-    def _pose(self, coming, nodes):
+    def _pose(self, start, coming, nodes):
         """The pose [7] of the body; None where its particles do not fix one."""
-        start = self._start
         if start.velocity is None:  # told by its particles
             return None
         if coming is None:
@@ -303,31 +297,24 @@ class Stepper:
     def state(self) -> StepperState:
         """What is kept can be put back, and goes on from there to the same bits; ValueError before
         `start`."""
-        frame = self._newest()
-        return StepperState(self._start, frame, self._count, self._body, self._now.state)
+        return self._begun()._replace(of_step=self._now.state)
 
     @state.setter
     def state(self, state: StepperState) -> None:
         with _held(self._lock):
-            self._start, self._last, self._count, self._body, of_step = state
-            self._now, self._ranges = self._of_size(len(self._start.kept))
-            self._now.state = of_step
+            self._now, self._ranges = self._of_size(len(state.start.kept))
+            self._now.state = state.of_step
+            self._run = state
 
     def particles(self) -> np.ndarray:
         """float32 [N, 3] of the soil in the newest frame, or at the start, m; ValueError without a
         subspace."""
-        return self._newest().particles()
+        return self._begun().frame.particles()
 
-    def _newest(self):
-        if self._last is None:
+    def _begun(self) -> StepperState:
+        if self._run is None:
             raise ValueError('call start() first')
-        return self._last
-
-    def body(self, pose) -> np.ndarray:
-        """float64 [R', 3], m: all particles of the body at a pose, for drawing; raises before
-        `start`."""
-        self._newest()
-        return poses.placed(self._start.body, self._start.read(pose))
+        return self._run
 
 
 @contextlib.contextmanager

@@ -64,14 +64,10 @@ class TfStep:
 
     def propose(self, body, displacement, context=None):
         """The next frame, positions float64 [V, D], m, and force float32 [F], N, or None; the state
-        stays as it is until `accept`. ValueError for a path that leads farther than its memory
-        reaches.
-
-        Args:
-          body: float64 [R, D], m, the body in the coming frame, or None where it is predicted.
-          displacement: float64 [R, D], m, of the body into that frame; or None.
-          context: float64 [C] from that frame on; None leaves it as it was.
-        """
+        stays as it is until `accept`. Of the body float64 [R, D], m, in the coming frame and its
+        displacement into it, or None where it is predicted; the context float64 [C] from that frame
+        on, None where it is as it was. ValueError for a path that leads farther than its memory
+        reaches."""
         known = None
         if body is not None:
             motion = [body - self._layout.origin[: self._layout.n_rigid], displacement]

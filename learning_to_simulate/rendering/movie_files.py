@@ -1,14 +1,13 @@
-"""GIF and MP4 files from frames of pixels, by the ffmpeg that imageio-ffmpeg brings along.
+"""Files of pictures: a PNG of a figure; GIF and MP4 from frames of pixels, by the ffmpeg that
+imageio-ffmpeg brings along. A file appears whole or not at all."""
 
-A file appears whole or not at all.
-"""
-
-from __future__ import annotations
-
+import functools
 from collections.abc import Iterable
 
 import imageio_ffmpeg
 import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 
 from pca_tools import files
 
@@ -23,6 +22,18 @@ _OPTIONS = {
     # Of x264: a rate factor of 18 is visually lossless, 23 is its default.
     'mp4': ('-crf', '20', '-movflags', '+faststart'),
 }  # fmt: skip
+
+
+def write_png(path: str, figure: Figure) -> None:
+    """Writes a figure as PNG; OSError where the file cannot be written."""
+    files.write_atomically(path, functools.partial(figure.savefig, format='png'))
+
+
+def pixels_of(canvas: FigureCanvasAgg) -> np.ndarray:
+    """What is drawn on a canvas, uint8 [height, width, 3], both sizes even."""
+    pixels = np.asarray(canvas.buffer_rgba())
+    height, width = (2 * (size // 2) for size in pixels.shape[:2])
+    return pixels[:height, :width, :3].copy()
 
 
 def write(path: str, kind: str, frames: Iterable[np.ndarray], frame_seconds: float) -> None:

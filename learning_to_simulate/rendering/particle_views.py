@@ -4,8 +4,6 @@ The artists of a view are made once and moved from frame to frame, which is what
 hundred frames a matter of seconds.
 """
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

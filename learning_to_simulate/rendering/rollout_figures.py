@@ -3,8 +3,6 @@
 Both hold truth and predictions in the same colours, and below them force and error over time.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
@@ -15,6 +13,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
+from learning_to_simulate.rendering import movie_files
 from learning_to_simulate.rendering.particle_views import COLOR_MAPS, ParticleView, ViewSetup
 from learning_to_simulate.rendering.rollout_frames import (
     CONSTANT,
@@ -114,9 +113,7 @@ class AnimatedFigure:
         self._canvas.restore_region(self._background)
         for artist in self._moving:
             (artist.axes or self._figure).draw_artist(artist)
-        pixels = np.asarray(self._canvas.buffer_rgba())
-        height, width = (2 * (size // 2) for size in pixels.shape[:2])
-        return pixels[:height, :width, :3].copy()
+        return movie_files.pixels_of(self._canvas)
 
 
 def strip_figure(

@@ -5,8 +5,6 @@ of the soil is that of `soil_truth`: the solver's own particles where the datase
 them. A prediction has the same particles: its own, where the method has no modes, else decoded.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import json
@@ -159,18 +157,13 @@ class RolloutFrames:
 
 
 def load(rollout_path: str, data_path: str | None, label: str = '') -> RolloutFrames:
-    """Reads a rollout and, from the dataset folder, what its soil did; cut before the first frame
-    that is not finite.
+    """Reads a rollout file `rollout_{split}_{i}.npz` and, from the dataset folder, what its soil
+    did; cut before the first frame that is not finite. Without a folder, or without `subspace.npz`
+    in it, there is no soil. The label is the name of the model, for titles.
 
-    Args:
-        rollout_path: `rollout_{split}_{i}.npz`.
-        data_path: dataset folder; without one, or without `subspace.npz` in it, there is no soil.
-        label: name of the model, for titles.
-
-    Raises:
-        FileNotFoundError: a file or the folder is missing.
-        ValueError: not an `.npz`, missing keys, shapes that do not fit, NaN in the truth, nothing
-            finite predicted, or a subspace other than the rollout's.
+    FileNotFoundError: a file or the folder is missing. ValueError: not an `.npz`, missing keys,
+    shapes that do not fit, NaN in the truth, nothing finite predicted, or a subspace other than the
+    rollout's.
     """
     if rollout_path.endswith(('.pkl', '.pickle')):
         raise ValueError(f'{rollout_path}: is a pickle, which is never read; give the .npz of it')
@@ -319,19 +312,14 @@ def _metadata(path: str, arrays: dict[str, np.ndarray]) -> dict[str, Any]:
         return found
     try:  # of a path that nobody recorded
         scene = Scene.from_json(found)
-        good = scene.dt > 0 and scene.n_modes > 0
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise ValueError(f'{path}: its scene is none ({error})') from error
-    if not good:
-        raise ValueError(f'{path}: its scene has dt {scene.dt!r} and {scene.n_modes!r} modes')
     return {
         'dt': scene.dt,
         'mode_number': scene.n_modes,
         'n_soil': scene.n_soil,
-        'scene': {
-            'name': scene.name, 'up_axis': scene.up_axis, 'rigid_motion': str(scene.rigid_motion),
-        },
-    }  # fmt: skip
+        'scene': scene.to_json(),
+    }
 
 
 def _split_nodes(path, arrays, metadata) -> tuple[int, bool]:

@@ -3,9 +3,6 @@
 Draws the arrays of `soil_field.rollout.TerrainRollout`, which its files hold as well.
 """
 
-from __future__ import annotations
-
-import functools
 import json
 from collections.abc import Callable, Mapping, Sequence
 
@@ -23,7 +20,6 @@ from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH
 from learning_to_simulate.rendering import movie_files
 from learning_to_simulate.rendering.particle_views import BODY_EDGE, BODY_FACE, PLAIN_SOIL
 from learning_to_simulate.rendering.rollout_figures import FAINT, INK, STYLE, WIDTH
-from pca_tools import files
 
 _MOMENTS = (0.2, 0.6, 1.0)  # shares of the run that a picture shows
 _CHANGE = 'BrBG'  # brown where soil is missing, green where it lies on top
@@ -46,20 +42,19 @@ def draw(
     last = len(frames) - 1
     if kind == 'png':
         page = figure(arrays, [round(share * last) for share in _MOMENTS], name, _DPI[kind])
-        files.write_atomically(path, functools.partial(page.savefig, format='png'))
+        movie_files.write_png(path, page)
         return
     apart = int(frames[1] - frames[0]) if last else 1
     shown = range(0, last + 1, max(1, round(step_stride / apart)))
-    pixels = (_pixels(figure(arrays, [i], name, _DPI[kind])) for i in progress(shown, kind))
+    pages = (figure(arrays, [i], name, _DPI[kind]) for i in progress(shown, kind))
+    pixels = map(_pixels, pages)
     movie_files.write(path, kind, pixels, shown.step * apart * float(arrays['dt']))
 
 
 def _pixels(page):
     canvas = FigureCanvasAgg(page)
     canvas.draw()
-    pixels = np.asarray(canvas.buffer_rgba())
-    height, width = (2 * (size // 2) for size in pixels.shape[:2])
-    return pixels[:height, :width, :3].copy()
+    return movie_files.pixels_of(canvas)
 
 
 def figure(arrays: Mapping[str, np.ndarray], moments: Sequence[int], name: str, dpi: int) -> Figure:

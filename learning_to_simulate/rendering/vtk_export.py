@@ -3,8 +3,6 @@
 The files themselves are written by `pca_tools.formats.vtp_files`.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterable
 

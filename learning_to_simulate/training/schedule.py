@@ -72,12 +72,9 @@ class WeightAverages:
 
 
 class GradientTraining:
-    """What the trainers of all networks share; `gates` are `EdgeGates` while the edges are learned.
-
-    Args:
-      simulator: whose variables exist, with its config.
-      clip_norm: largest norm of the gradient of all weights, or None.
-    """
+    """What the trainers of all networks share, of a simulator whose variables exist, with its
+    config; `clip_norm` is the largest norm of the gradient of all weights, or None, `gates` are
+    `EdgeGates` while the edges are learned."""
 
     gates = None
 

@@ -27,11 +27,8 @@ def file_of(path: str, step: int) -> str:
 
 def newest(path: str) -> tuple[int, dict, dict[int, ValueError]]:
     """Step and arrays of the newest whole checkpoint of a folder, 0 and none where there is none;
-    and what is wrong with newer ones, by step.
-
-    Raises:
-      ValueError: there are checkpoints and all of them are damaged.
-    """
+    and what is wrong with newer ones, by step. ValueError where there are checkpoints and all of
+    them are damaged."""
     damaged: dict[int, ValueError] = {}
     for step in stored_steps(path):
         try:
@@ -65,14 +62,9 @@ class TrainingState:
         }
 
     def restore(self) -> int:
-        """Restores the newest whole checkpoint; returns its step, 0 if there is none at all.
-
-        Newer damaged ones are reported and set aside under names that end in `.damaged`. All but
-        the newest `KEPT` ones are deleted.
-
-        Raises:
-          ValueError: as `newest`, or that one is of another model.
-        """
+        """Restores the newest whole checkpoint; returns its step, 0 if there is none at all. Newer
+        damaged ones are reported and set aside under names that end in `.damaged`. All but the
+        newest `KEPT` ones are deleted. ValueError: as `newest`, or that one is of another model."""
         step, arrays, damaged = newest(self._path)
         if not step:
             return 0
@@ -96,11 +88,8 @@ class TrainingState:
 
     def save(self, step: int) -> None:
         """Writes a checkpoint of `step` steps and deletes all but the newest `KEPT` ones.
-
-        Raises:
-          ValueError: a variable is not finite; nothing is written.
-          OSError: the disk is full or the folder is gone; older checkpoints stay.
-        """
+        ValueError where a variable is not finite; nothing is written. OSError where the disk is
+        full or the folder is gone; older checkpoints stay."""
         arrays = self._arrays(step)
         if bad := [key for key, value in arrays.items() if not np.isfinite(value).all()]:
             raise ValueError(

@@ -58,12 +58,7 @@ def make_trajectory(seed, n_rigid=4, motion='prescribed', context=False, force=T
 
 
 def write_dataset(
-    folder,
-    rigid_counts=(4,),
-    motion='prescribed',
-    context=False,
-    force=True,
-    n_run=4,
+    folder, rigid_counts=(4,), motion='prescribed', context=False, force=True, n_run=4
 ):
     """Writes train, valid and test splits with metadata; returns the folder as a string.
 
@@ -74,22 +69,11 @@ def write_dataset(
     for offset, (split, count) in enumerate((('train', n_run), ('valid', 2), ('test', 2))):
         runs[split] = [
             make_trajectory(
-                100 * offset + i,
-                rigid_counts[i % len(rigid_counts)],
-                motion,
-                context,
-                force,
+                100 * offset + i, rigid_counts[i % len(rigid_counts)], motion, context, force
             )
             for i in range(count)
         ]
         dataset.write_split(dataset.split_path(str(folder), split), runs[split])
-    train = runs['train']
-    velocity = np.concatenate(
-        [np.diff(r.position[:, r.n_rigid :], axis=0).reshape(-1, 3) for r in train]
-    )
-    acceleration = np.concatenate(
-        [np.diff(r.position[:, r.n_rigid :], n=2, axis=0).reshape(-1, 3) for r in train]
-    )
     metadata = {
         'bounds': [[0.0, 1.0]] * 3,
         'sequence_length': N_FRAMES - 1,
@@ -108,15 +92,17 @@ def write_dataset(
             'up_axis': 1,
         },
     }
-    for name, values in (('vel', velocity), ('acc', acceleration)):
-        metadata |= {f'{name}_mean': values.mean(0).tolist(), f'{name}_std': values.std(0).tolist()}
-    if force:
-        values = np.concatenate([r.force for r in train])
-        metadata['rigid_body_force_mean'] = values.mean(0).tolist()
-        metadata['rigid_body_force_std'] = values.std(0).tolist()
-    if context:
-        values = np.concatenate([r.step_context for r in train])
-        metadata |= {'context_mean': values.mean(0).tolist(), 'context_std': values.std(0).tolist()}
+    modes = [run.position[:, run.n_rigid :] for run in runs['train']]
+    for name, parts in (
+        ('vel', [np.diff(x, axis=0) for x in modes]),
+        ('acc', [np.diff(x, n=2, axis=0) for x in modes]),
+        ('rigid_body_force', [run.force for run in runs['train']]),
+        ('context', [run.step_context for run in runs['train']]),
+    ):
+        if parts[0] is not None:
+            values = np.concatenate([part.reshape(-1, part.shape[-1]) for part in parts])
+            metadata[f'{name}_mean'] = values.mean(0).tolist()
+            metadata[f'{name}_std'] = values.std(0).tolist()
     files.write_json(os.path.join(folder, 'metadata.json'), metadata)
     return str(folder)
 
@@ -147,7 +133,14 @@ def write_particles(folder, stride=4):
     for split in ('valid', 'test'):
         count = len(dataset.read_split(folder, split))
         soil = [soil_of(folder, split, i)[::stride, chosen] for i in range(count)]
-        packed = [(packing.pack_steps(p, soil[0][0], 1e-7), len(p)) for p in soil]
-        rest, indices = soil[0][0], chosen.astype(np.int32)
-        particles.ParticleSample.write(folder, split, packed, rest, stride, 1e-7, indices=indices)
+        write_sample(folder, split, soil, chosen, stride)
     return chosen
+
+
+def write_sample(folder, split, soil, chosen, stride):
+    """Writes the particle sample of a split: every `stride`-th frame of each run [T', P, 3], and
+    which particles these are."""
+    rest = soil[0][0]
+    packed = [(packing.pack_steps(run, rest, 1e-7), len(run)) for run in soil]
+    indices = np.asarray(chosen, np.int32)
+    particles.ParticleSample.write(folder, split, packed, rest, stride, 1e-7, indices=indices)

@@ -1,25 +1,9 @@
-"""Poses against rotation matrices; the pose of a blade from its particles."""
+"""Axes of bodies; the pose of a blade from its particles."""
 
 import numpy as np
 import pytest
 
 from learning_to_simulate.axes import Axes, blade_pose
-from learning_to_simulate.live import poses
-
-SEVERAL = (Axes(0, -1, 1, 0.4), Axes(1, 1, 2, 0.1), Axes(2, -1, 0, 0.0), Axes(0, 1, 2, 0.0))
-
-
-@pytest.mark.parametrize('axes', SEVERAL)
-def test_the_lean_is_that_of_a_rotation_matrix(axes):
-    turn = np.random.default_rng(3).normal(size=4)
-    pose = np.concatenate([np.zeros(3), turn / np.linalg.norm(turn)])
-    top = poses.rotation_matrix(pose[3:])[:, axes.up]
-    lean = np.arctan2(-axes.sign * top[axes.axis], top[axes.up])
-    assert axes.poses(pose)[2] == pytest.approx(lean)
-    # A tool that leans in the plane of travel leans by that; one that turns on the spot does not.
-    for axis, lean in ((axes.across, 0.8), (axes.up, 0.0)):
-        pose = np.eye(7)[3] * np.cos(0.4) + np.eye(7)[4 + axis] * np.sin(0.4)
-        assert abs(axes.poses(pose)[2]) == pytest.approx(lean)
 
 
 def test_the_axes_of_bodies_are_those_of_most():

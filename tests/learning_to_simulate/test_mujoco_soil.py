@@ -11,10 +11,10 @@ from learning_to_simulate.mujoco_soil import MujocoSoil, _ahead, add_height_fiel
 
 # The edge 0.3 m under the centre of mass and 0.1 m ahead of it.
 XML = """<mujoco><option timestep="{dt}"/><worldbody>
-  <body name="carrier" pos="{at}" euler="0 0 {heading}">{joints}
+  <body name="carrier" pos="{at} {height}" euler="0 0 {heading}">{joints}
     <inertial pos="0.1 0 0.3" mass="{mass}" diaginertia="1 1 1"/>
     <site name="edge"/>
-  </body></worldbody></mujoco>"""
+  </body></worldbody>{motors}</mujoco>"""
 UP = '<joint type="slide" axis="0 0 1"/>'
 
 
@@ -23,19 +23,26 @@ def blade():
     return lts.load('excavation/soil_field')
 
 
-def scene(model, joints=UP, height=0.27, mass=20.0, dt=0.004, heading=0.0, at=(3.0, -2.0), **more):
-    """A blade on a square of soil whose surface is at 0.25 m."""
-    terrain = lts.Terrain.flat((6.0, 4.0), height=0.25, **more)
-    stepper = model.stepper(terrain, lts.Blade(width=0.4))
-    where = f'{at[0]} {at[1]} {height}'
-    text = XML.format(dt=dt, at=where, heading=heading, joints=joints, mass=mass)
+def scene(
+    model, joints=UP, tool=None, implicit=True, height=0.27, mass=20.0, dt=0.004, heading=0.0,
+    at='3 -2', motors='', **more,
+):  # fmt: skip
+    """A tool, by default a blade, on a square of soil whose surface is at 0.25 m."""
+    stepper = model.stepper(flat(**more), tool or lts.Blade(width=0.4))
+    text = XML.format(
+        dt=dt, at=at, height=height, heading=heading, joints=joints, mass=mass, motors=motors
+    )
     m = mujoco.MjModel.from_xml_string(text)
     d = mujoco.MjData(m)
-    return m, d, MujocoSoil(m, d, {'edge': stepper})
+    return m, d, MujocoSoil(m, d, {'edge': stepper}, implicit)
+
+
+def flat(**more):
+    return lts.Terrain.flat((6.0, 4.0), height=0.25, **more)
 
 
 def test_pose_is_turned_into_axes_with_y_up(blade):
-    m, d, soil = scene(blade, '<freejoint/>', at=(1.0, -3.0))
+    m, d, soil = scene(blade, '<freejoint/>', at='1 -3')
     lean = Rotation.from_euler('Y', 25, degrees=True)  # about MuJoCo's Y: the top goes to +X
     d.qpos[3:] = np.roll(lean.as_quat(), 1)
     pose = soil.start()['edge'].pose
@@ -46,8 +53,7 @@ def test_pose_is_turned_into_axes_with_y_up(blade):
 
 def test_wrench_is_about_the_centre_of_mass(blade):
     """The load of the frame before, of explicit coupling, by the rule of docs/axes.md."""
-    m, d, soil = scene(blade, height=0.2, heading=30.0)
-    soil = MujocoSoil(m, d, {'edge': soil._steppers[0]}, implicit=False)
+    m, d, soil = scene(blade, height=0.2, heading=30.0, implicit=False)
     frame = soil.start()['edge']
     for _ in range(20):
         last, place, centre = frame, d.site('edge').xpos.copy(), d.body('carrier').xipos.copy()
@@ -94,38 +100,27 @@ def test_a_tool_rests_on_its_weight_and_gains_no_energy(blade, dt, mass):
 def test_it_comes_to_rest_where_a_loaded_tool_does(blade, kind, mass):
     """`LoadedTool` solves its motion in another way: a bracket for each coordinate."""
     model = blade if kind == 'blade' else lts.load('wheel/soil_field')
-    dt, ends = 1 / 60, []
-    for ground in (lts.Terrain.flat((6.0, 4.0), height=0.25) for _ in range(2)):
-        stepper = model.stepper(ground, lts.Blade(width=0.4) if kind == 'blade' else lts.Wheel())
-        pose = np.array([3.0, 0.251 + stepper.tool.radius, 2.0, 1.0, 0.0, 0.0, 0.0])
-        if not ends:
-            stepper.start(pose)
-            body = lts.LoadedTool(stepper, mass)
-            heights = [body.step(pose, dt=dt).pose[1] for _ in range(90)]
-        else:
-            at = f'3 -2 {pose[1]}'
-            text = XML.format(dt=dt, at=at, heading=0, joints=UP, mass=mass)
-            m = mujoco.MjModel.from_xml_string(text)
-            soil = MujocoSoil(m, mujoco.MjData(m), {'edge': stepper})
-            soil.start()
-            heights = [soil.step()['edge'].pose[1] for _ in range(90)]
-            # What holds it is what is reported.
-            assert soil.frames['edge'].force[1] == pytest.approx(soil.wrenches[0, 2], rel=5e-3)
-        ends.append(np.array(heights))
-    assert pose[1] - ends[0][-1] > 0.002
-    np.testing.assert_allclose(ends[1], ends[0], atol=1e-3)
+    tool, dt = lts.Blade(width=0.4) if kind == 'blade' else lts.Wheel(), 1 / 60
+    pose = np.array([3.0, 0.251 + tool.radius, 2.0, 1.0, 0.0, 0.0, 0.0])
+    stepper = model.stepper(flat(), tool)
+    stepper.start(pose)
+    body = lts.LoadedTool(stepper, mass)
+    expected = [body.step(pose, dt=dt).pose[1] for _ in range(90)]
+    m, d, soil = scene(model, tool=tool, height=pose[1], mass=mass, dt=dt)
+    soil.start()
+    heights = [soil.step()['edge'].pose[1] for _ in range(90)]
+    # What holds it is what is reported.
+    assert soil.frames['edge'].force[1] == pytest.approx(soil.wrenches[0, 2], rel=5e-3)
+    assert pose[1] - expected[-1] > 0.002
+    np.testing.assert_allclose(heights, expected, atol=1e-3)
 
 
 @pytest.mark.parametrize('servo', ['position kp="2e4" kv="500"', 'velocity kv="5e3"', 'motor'])
 def test_what_a_servo_holds_is_not_damped(blade, servo):
     """A machine of two joints, whose weight a user's force may hold as well."""
     joints = UP.replace('/>', ' name="z"/>')
-    terrain = lts.Terrain.flat((6.0, 4.0), height=0.25)
-    text = XML.format(dt=0.004, at='3 -2 0.27', heading=0, joints=joints, mass=20.0)
-    text = text.replace('</mujoco>', f'<actuator><{servo} joint="z"/></actuator></mujoco>')
-    m = mujoco.MjModel.from_xml_string(text)
-    d = mujoco.MjData(m)
-    soil = MujocoSoil(m, d, {'edge': blade.stepper(terrain, lts.Blade(width=0.4))})
+    motors = f'<actuator><{servo} joint="z"/></actuator>'
+    m, d, soil = scene(blade, joints, motors=motors)
     soil.start()
     # A motor bears the weight by itself.
     d.ctrl[0] = {'p': -0.03, 'v': -0.05, 'm': 150.0}[servo[0]]
@@ -156,8 +151,7 @@ def test_a_turned_scene_does_the_same(blade):
 def test_explicit_coupling_of_a_light_tool_rings_where_implicit_rests(blade):
     spans = []
     for implicit in (True, False):
-        m, d, soil = scene(blade, mass=5.0, dt=0.016)
-        soil = MujocoSoil(m, d, {'edge': soil._steppers[0]}, implicit)
+        m, d, soil = scene(blade, mass=5.0, dt=0.016, implicit=implicit)
         soil.start()
         heights = [soil.step() and d.qpos[0] for _ in range(120)]
         spans.append(np.ptp(heights[-30:]))
@@ -165,7 +159,7 @@ def test_explicit_coupling_of_a_light_tool_rings_where_implicit_rests(blade):
 
 
 def test_tools_share_a_terrain(blade):
-    terrain = lts.Terrain.flat((6.0, 4.0), height=0.25)
+    terrain = flat()
     bodies = ''.join(
         f'<body name="b{i}" pos="3 {-1.3 - i} 0.27">{UP}'
         f'<inertial pos="0 0 0.1" mass="{10 + 40 * i}" diaginertia="1 1 1"/></body>'

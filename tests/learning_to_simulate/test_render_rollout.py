@@ -18,24 +18,23 @@ from learning_to_simulate.rendering import (
 from learning_to_simulate.rendering.rollout_frames import PREDICTION, TRUTH
 from pca_tools import files
 from pca_tools.subspace import Subspace
-from tests.learning_to_simulate import synthetic_rollout
-from tests.learning_to_simulate.synthetic_rollout import DT, N_GIVEN, N_RIGID
+from tests.learning_to_simulate import synthetic, synthetic_rollout
+from tests.learning_to_simulate.synthetic_rollout import DT, N_FRAMES, N_GIVEN, N_RIGID
 from tests.pca_tools.commands import call_command
 
-N_FRAMES = 60
 N_SHOWN = N_FRAMES - N_GIVEN
 NODES = 'initial_positions', 'predicted_rollout', 'ground_truth_rollout'
 
 
 @pytest.fixture(scope='module')
 def made(tmp_path_factory):
-    """(rollout path, dataset folder, particles before any projection)."""
-    return synthetic_rollout.write(str(tmp_path_factory.mktemp('rollout')), N_FRAMES)
+    """(rollout path, dataset folder)."""
+    return synthetic_rollout.write(str(tmp_path_factory.mktemp('rollout')))
 
 
 @pytest.fixture(scope='module')
 def frames(made):
-    return rollout_frames.load(*made[:2])
+    return rollout_frames.load(*made)
 
 
 @pytest.fixture(scope='module')
@@ -74,7 +73,7 @@ def animated(frames, view, color_by='speed', **options):
 
 
 def strip(frames, view, **options):
-    return rollout_figures.strip_figure(frames, view, [0, 20, 40], dpi=50, **options)
+    return rollout_figures.strip_figure(frames, view, [0, 12, 24], dpi=50, **options)
 
 
 def check_places(drawn, frames, view, i):
@@ -99,10 +98,10 @@ def test_particles_and_their_errors(made, tmp_path, change, sampled):
     soil = {TRUTH: space.decode(truth), PREDICTION: space.decode(predicted)}
     cut = json.loads(str(arrays['metadata']))['projection_mse']['test'][0]
     if sampled:
-        data_path, chosen = str(tmp_path / 'data'), np.arange(0, space.n_soil, 5)
-        shutil.copytree(made[1], data_path)
-        synthetic_rollout.write_sample(data_path, made[2], chosen)
-        soil[TRUTH], numbers, cut = made[2], np.arange(8, N_FRAMES, 4), 0.0
+        data_path = shutil.copytree(made[1], str(tmp_path / 'data'))
+        chosen = synthetic.write_particles(data_path)
+        soil[TRUTH] = synthetic.soil_of(data_path, 'test', 0)
+        numbers, cut = np.arange(8, N_FRAMES, 4), 0.0
     soil = {which: x[numbers][:, chosen] for which, x in soil.items()}
     frames = rollout_frames.load(made[0], data_path, 'm')
     np.testing.assert_array_equal(frames.frames, numbers)
@@ -131,7 +130,7 @@ def test_particles_and_their_errors(made, tmp_path, change, sampled):
 
 
 def test_particles_of_a_full_space_model_are_drawn_as_they_are(made, change):
-    frames = rollout_frames.load(change({'mode_number': 5}), None)
+    frames = rollout_frames.load(change({'mode_number': 2}), None)
     arrays = files.read_npz(made[0])
     for which, key in ((TRUTH, 'ground_truth_rollout'), (PREDICTION, 'predicted_rollout')):
         np.testing.assert_array_equal(frames.soil[which], arrays[key][:, N_RIGID:])
@@ -164,11 +163,11 @@ def test_titles_are_sentences(frames):
 
 def test_rollout_that_blew_up_is_cut(made, change):
     predicted = files.read_npz(made[0])['predicted_rollout']
-    predicted[30:] = np.nan
+    predicted[20:] = np.nan
     frames = rollout_frames.load(change(predicted_rollout=predicted), made[1])
-    assert frames.n_frames == len(frames.force[TRUTH]) == N_GIVEN + 30
-    assert frames.frames[-1] == N_GIVEN + 29 and np.isfinite(frames.soil_mm)
-    assert 'not finite from frame 36' in frames.notes[0]
+    assert frames.n_frames == len(frames.force[TRUTH]) == N_GIVEN + 20
+    assert frames.frames[-1] == N_GIVEN + 19 and np.isfinite(frames.soil_mm)
+    assert 'not finite from frame 26' in frames.notes[0]
 
 
 def test_bad_input_is_refused(made, change, tmp_path):
@@ -183,7 +182,7 @@ def test_bad_input_is_refused(made, change, tmp_path):
     check(foreign, r"lacks \['initial_positions'.*it has \['positions'\]")
     arrays = files.read_npz(made[0])
     types, predicted = arrays['particle_types'], arrays['predicted_rollout']
-    check(change(particle_types=types[1:]), r'has shape \(6, 28, 3\), \(6, 27, 3\)')
+    check(change(particle_types=types[1:]), r'has shape \(6, 23, 3\), \(6, 22, 3\)')
     check(change(predicted_rollout=predicted[1:]), 'has shape .*was expected')
     check(change(predicted_rollout=predicted.astype(complex)), 'no real numbers')
     check(change(predicted_forces=None), "lacks .'predicted_forces'")
@@ -192,17 +191,17 @@ def test_bad_input_is_refused(made, change, tmp_path):
     check(change(ground_truth_rollout=predicted * np.nan), 'ground_truth_rollout has NaN')
     check(change('{'), 'is not JSON')
     check(change(json.dumps({'mode_number': 8})), 'lacks .*dt')
-    check(change({'mode_number': 99}), 'has 28 nodes but its metadata says mode_number 99')
-    check(change({'mode_number': 7}), 'has 8 modes, the rollout has 7')
+    check(change({'mode_number': 99}), 'has 23 nodes but its metadata says mode_number 99')
+    check(change({'mode_number': 2}), 'has 3 modes, the rollout has 2')
     check(change({'pca': {'digest': 'f' * 64}}), 'not the subspace of this rollout')
     check(change(**without_body(made)), 'has modes only', None)
     with pytest.raises(ValueError, match=r"--format has \['avi'\]; there are png, gif"):
-        render_rollout.render(*made[:2], str(tmp_path / 'out'), formats=['gif', 'avi'])
+        render_rollout.render(*made, str(tmp_path / 'out'), formats=['gif', 'avi'])
     moved = arrays['ground_truth_rollout'].copy()
     moved[5, N_RIGID, 0] += 1e-3
     other = {'other': change(ground_truth_rollout=moved)}
     with pytest.raises(ValueError, match=r'\(other\) is no rollout of the run of'):
-        render_rollout.render(*made[:2], str(tmp_path / 'out'), beside=other)
+        render_rollout.render(*made, str(tmp_path / 'out'), beside=other)
     assert not (tmp_path / 'out').exists()
 
 
@@ -210,7 +209,7 @@ def test_the_force_axis_clips_no_prediction(made, change):
     force = files.read_npz(made[0])['predicted_forces']
     force[20] = [900.0, -700.0, 0.0]
     frames = rollout_frames.load(change(predicted_forces=force), made[1])
-    figure = strip(frames, particle_views.setup(frames, 'xy', np.arange(0, 50, 3)))
+    figure = strip(frames, particle_views.setup(frames, 'xy', np.arange(0, N_SHOWN, 3)))
     (axes,) = (a for a in figure.axes if 'force' in a.get_ylabel())
     low, high = axes.get_ylim()
     assert low < -700 and high > 900
@@ -221,24 +220,24 @@ def test_the_force_axis_clips_no_prediction(made, change):
 def test_soil_body_and_force_are_where_they_should_be(frames, view):
     """Whatever was drawn before; in colours of the error, the truth has one colour."""
     figure = animated(frames, view)
-    for i in (0, 53, 40):
+    for i in (0, 33, 20):
         pixels = figure.draw(i)
-    np.testing.assert_array_equal(pixels, animated(frames, view).draw(40))
+    np.testing.assert_array_equal(pixels, animated(frames, view).draw(20))
     assert pixels.shape[0] % 2 == pixels.shape[1] % 2 == 0
-    order = check_places(figure.views[1], frames, view, 40)
-    place, before = (frames.soil[PREDICTION][i][view.particles] for i in (40, 39))
+    order = check_places(figure.views[1], frames, view, 20)
+    place, before = (frames.soil[PREDICTION][i][view.particles] for i in (20, 19))
     speed = 1e3 * np.linalg.norm(place - before, axis=1)[order] / DT
     np.testing.assert_allclose(figure.views[1].soil.get_array(), speed, atol=1e-6)
     for which, shown in zip((TRUTH, PREDICTION), figure.views):
-        body, force = frames.rigid[which][N_GIVEN + 40], frames.force[which][N_GIVEN + 40]
+        body, force = frames.rigid[which][N_GIVEN + 20], frames.force[which][N_GIVEN + 20]
         np.testing.assert_allclose(shown.arrow.get_offsets()[0], body.mean(axis=0)[:2])
         np.testing.assert_allclose([shown.arrow.U[0], shown.arrow.V[0]], force[:2])
         ends = shown.body.get_xy()[:2]  # a blade is a line from the side
-        np.testing.assert_allclose(ends[np.argsort(ends[:, 1])], body[[0, 15]][:, :2], atol=1e-6)
+        np.testing.assert_allclose(ends[np.argsort(ends[:, 1])], body[[0, -1]][:, :2], atol=1e-6)
     figure = animated(frames, view, 'error')
-    figure.draw(50)
+    figure.draw(30)
     truth, prediction = (drawn.soil.get_array() for drawn in figure.views)
-    error = 1e3 * np.linalg.norm(frames.soil_error(50)[view.particles], axis=1)
+    error = 1e3 * np.linalg.norm(frames.soil_error(30)[view.particles], axis=1)
     assert truth is None
     np.testing.assert_allclose(np.sort(prediction), np.sort(error))
 
@@ -266,9 +265,9 @@ def test_a_second_model_is_drawn_beside_the_first(made, frames, view, change):
     path = change(predicted_rollout=shifted)
     other = rollout_frames.load(path, made[1], 'other')
     figure = animated(frames, view, beside=[other])
-    assert len(figure.views) == 3 and figure.draw(40).any()
+    assert len(figure.views) == 3 and figure.draw(20).any()
     for drawn, one in zip(figure.views[1:], (frames, other)):
-        check_places(drawn, one, view, 40)
+        check_places(drawn, one, view, 20)
     alone, both = strip(frames, view), strip(frames, view, beside=[other])
     assert len(both.axes) == len(alone.axes) + 3
     assert figure.caption.get_text().count('soil error') == 2
@@ -292,13 +291,13 @@ def test_every_scene_can_be_drawn(made, change, plane, left_out):
     frames = rollout_frames.load(path, None if left_out == 'subspace' else made[1])
     view = particle_views.setup(frames, plane, np.arange(0, N_SHOWN, 20))
     figure = animated(frames, view, 'error' if left_out == 'motion' else 'speed')
-    assert (figure.draw(0) != figure.draw(40)).any()
+    assert (figure.draw(0) != figure.draw(20)).any()
     strip(frames, view).canvas.draw()
 
 
 @pytest.mark.parametrize(('up_axis', 'axes'), [(0, (1, 0)), (1, (0, 1)), (2, (0, 2))])
 def test_upward_axis_is_up(made, change, monkeypatch, up_axis, axes):
-    scene = {'name': 'excavation', 'rigid_motion': 'prescribed', 'up_axis': up_axis}
+    scene = {'name': 'excavation', 'rigid_motion': 'prescribed', 'force': True, 'up_axis': up_axis}
     frames = rollout_frames.load(change({'scene': scene}), made[1])
     monkeypatch.setattr(particle_views, '_SIDE_VIEW_LEAST', 10)
     monkeypatch.setattr(particle_views, '_SIDE_VIEW_SHARE', 0.0)

@@ -76,13 +76,3 @@ def test_predicted_body_stays_rigid_with_the_correction_only(tmp_path, monkeypat
 
     stretch = np.abs(edges(body) - edges(group.position[:, 5:6, :6])).max()
     assert (stretch < 1e-6) == correct  # 2e-7 m with it (float32), more than 1e-4 m without
-
-
-def test_blow_up_is_reported_with_its_first_frame(tmp_path):
-    model, (group,), _ = models.make(tmp_path)
-    for v in model.simulator.trainable_variables:
-        if 'decoder/linear_2/b' in v.name:
-            v.assign(v + 1e38)
-    result = models.rolled(model, group)
-    assert set(result.status) == {rollout.RolloutStatus.NON_FINITE}
-    assert all(judgement.frame >= 6 for judgement in result.judgements)

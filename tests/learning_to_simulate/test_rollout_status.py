@@ -42,14 +42,7 @@ def test_training_runs_are_inside_their_own_range(made):
     assert judged(made).status is RolloutStatus.OK
 
 
-def set_item(index, value):
-    def change(array):
-        array[index] = value
-
-    return change
-
-
-def add_item(index, value):
+def add(index, value):
     def change(array):
         array[index] += value
 
@@ -57,11 +50,11 @@ def add_item(index, value):
 
 
 PREDICTED = {
-    'NaN position': ('position', set_item((0, 3, 5, 1), np.nan), ('non_finite', 9, 5)),
-    'infinite force': ('force', set_item((0, 7, 2), np.inf), ('non_finite', 13, -1)),
-    'mode far away': ('position', add_item((0, 20, 6, 0), 1e3), ('left_bounds', 26, 6)),
-    'predicted height': ('position', add_item((0, 4, 0, 1), -9.0), ('left_bounds', 10, 0)),
-    'NaN after far away': ('position', set_item((0, 2), np.inf), ('non_finite', 8, 0)),
+    'NaN position': ('position', add((0, 3, 5, 1), np.nan), ('non_finite', 9, 5)),
+    'infinite force': ('force', add((0, 7, 2), np.inf), ('non_finite', 13, -1)),
+    'mode far away': ('position', add((0, 20, 6, 0), 1e3), ('left_bounds', 26, 6)),
+    'predicted height': ('position', add((0, 4, 0, 1), -9.0), ('left_bounds', 10, 0)),
+    'NaN after far away': ('position', add((0, 2), np.inf), ('non_finite', 8, 0)),
 }
 
 
@@ -91,9 +84,9 @@ def wider(position):
 
 
 GIVEN = {
-    'friction angle': ({'context': set_item((0, 1), 60.0)}, 0, 'context|friction_angle'),
-    'start': ({'position': add_item((0, 2, 5, 0), 50.0)}, 2, 'coordinate x'),
-    'place of the body': ({'position': add_item((0, slice(35, None), slice(4), 0), 9.0)}, 35, 'x'),
+    'friction angle': ({'context': add((0, 1), 60.0)}, 0, 'context|friction_angle'),
+    'start': ({'position': add((0, 2, 5, 0), 50.0)}, 2, 'coordinate x'),
+    'place of the body': ({'position': add((0, slice(35, None), slice(4), 0), 9.0)}, 35, 'x'),
     'speed': ({'position': faster}, 20, 'displacement x'),
     'shape or lean': ({'position': wider}, 30, 'coordinate x|extent of the body x'),
 }
@@ -112,7 +105,7 @@ def test_input_outside_the_training_range_is_extrapolation(made, case):
 
 def test_height_of_a_driven_body_is_no_input(made):
     """It is predicted, so a true height far away in the record says nothing about the rollout."""
-    group = changed(made, position=add_item((0, slice(H, None), slice(4), 1), 5.0))
+    group = changed(made, position=add((0, slice(H, None), slice(4), 1), 5.0))
     found = judged(made, position=made[1][0].select(0).position[:, H:], group=group)
     assert found.status is RolloutStatus.OK
 
@@ -141,7 +134,7 @@ def test_ranges_are_those_of_the_training_runs(made, tmp_path):
 def test_status_reaches_metrics_table_and_rollout_files(made, tmp_path):
     model, (group,), metadata = made
     evaluator = evaluation.Evaluator(model, metadata)
-    outside = changed(made, context=set_item((0, 1), 60.0))
+    outside = changed(made, context=add((0, 1), 60.0))
     with models.eagerly():
         results, summary = evaluator.run([outside], 'test')
     evaluation.save_rollouts(str(tmp_path), 'test', results, summary, metadata)

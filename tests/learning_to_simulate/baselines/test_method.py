@@ -40,7 +40,7 @@ def test_a_model_folder_rolls_out_to_the_files_of_every_method(trained, tmp_path
     # The API rolls recorded runs out though the folder has no start.
     model, runs = lts.load(path), lts.Dataset(data).test
     rollout = model.rollout(runs[0])
-    n = rollout.rigid_nodes.shape[1]
+    n = rollout.history.shape[1] - rollout.modes.shape[1]
     np.testing.assert_array_equal(rollout.modes, results[0][2].position[0, :, n:])
     assert rollout.particles(0).shape == (synthetic.N_SOIL, 3)
     with pytest.raises(ValueError, match='path_ridge has no live stepping and no paths'):

@@ -6,7 +6,7 @@ import pathlib
 import pytest
 import tensorflow as tf
 
-from learning_to_simulate import known_shapes
+from learning_to_simulate import checkpoints
 from learning_to_simulate.subspace import subspace_model
 from nri import model as nri_model
 from tests.learning_to_simulate import models
@@ -88,7 +88,7 @@ def test_nri_models_are_held_to_their_weights(tmp_path, made, part, forged, reas
 
 
 def test_each_shape_is_made_as_often_as_it_is_there():
-    with known_shapes.only([(2,), (2,), (3, 1)], 'x.npz'):
+    with checkpoints.only_shapes([(2,), (2,), (3, 1)], 'x.npz'):
         tf.Variable([1.0, 2.0])
         tf.Variable(tf.zeros([3, 1]))
         tf.Variable(lambda: tf.zeros([2]))
