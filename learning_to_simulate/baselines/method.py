@@ -10,7 +10,6 @@ import time
 from types import SimpleNamespace
 
 import numpy as np
-import tqdm
 
 from learning_to_simulate import (
     bed,
@@ -82,14 +81,9 @@ def fit(config: PathRidgeConfig, data_path: str, metadata: dict, train_groups, v
     if not bodies.shape[2]:
         raise ValueError(f'{config.model} needs a rigid body; {data_path} has none')
     surface = bed.height_of_dataset(data_path, metadata, Axes.of_bodies([bodies], scene.up_axis))
-
-    def progress(choices):
-        return tqdm.tqdm(choices, unit='choice', desc='path ridge', disable=None)
-
     return path_ridge.PathRidge.fit(
-        train_groups, valid_groups, scene, surface, config.max_samples, config.leave_one_out,
-        progress,
-    )  # fmt: skip
+        train_groups, valid_groups, scene, surface, config.max_samples, config.leave_one_out
+    )
 
 
 def train(data_path, model_path, config, options) -> dict:
