@@ -2,10 +2,9 @@
 
 To TensorFlow's relatives go functions of arrays without memory: of a model in a subspace `step` and
 `reconstruct` (`step_functions`). In C and as an FMU a model keeps its state (`native.exporting`); a
-soil field has no other form. `export.json` beside the model says what every
-input and output is, and `sample.npz` holds calls of functions to check another program with. What
-was written is loaded again and compared with the source model on a recorded run; beyond round-off
-the export is refused.
+soil field has no other form. `export.json` beside the model says what every input and output is,
+and `sample.npz` holds calls of functions to check another program with. What was written is loaded
+again and compared with the source model on a recorded run; beyond round-off the export is refused.
 """
 
 import os
