@@ -34,9 +34,14 @@ class BladeSoil:
     def of(cls, soil, tool) -> 'BladeSoil':
         """Of a `Soil` and a blade of a soil field: phi is the arc sine of the soil's friction (at
         most 0.999), and the friction is the slope of a heap."""
-        sine = min(soil.friction, 0.999)
-        angles = map(float, (np.arcsin(sine), np.arctan(BLADE_FRICTION), np.arctan(soil.friction)))
-        return cls(soil.density * soil.gravity, *angles, tool.width, tool.length)
+        return cls(
+            unit_weight=soil.density * soil.gravity,
+            friction_angle=float(np.arcsin(min(soil.friction, 0.999))),
+            wall_angle=float(np.arctan(BLADE_FRICTION)),
+            repose_angle=float(np.arctan(soil.friction)),
+            width=tool.width,
+            height=tool.length,
+        )
 
 
 def factors(rake, friction_angle, wall_angle, beta, depth_over_width):
