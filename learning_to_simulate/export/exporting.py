@@ -80,7 +80,7 @@ def _exported(model_path, data_path, kind, n_tools):
         return CModel(model_path, data_path)
     from learning_to_simulate.export.step_functions import StepFunctions
 
-    return StepFunctions.of_dataset(model_path, data_path)
+    return StepFunctions(model_path, data_path)
 
 
 def summary(description: dict, output_path: str) -> str:

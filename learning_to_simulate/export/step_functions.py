@@ -41,28 +41,23 @@ MEANING = {
 
 
 class StepFunctions:
-    """The functions that are exported, for one graph of R rigid particles and r modes; ValueError
-    for a model with a memory of the path. `space` is the `Subspace` for `reconstruct` (None: there
-    is no such function), `group` a one-run `RunGroup` to compare on."""
+    """The functions that are exported of a model folder, for one graph of R rigid particles and r
+    modes. The dataset gives the subspace for `reconstruct` (without one there is no such function)
+    and a test run to compare on, of the largest body. ValueError for a model with a memory of the
+    path; raises as `registry.open_model`."""
 
-    def __init__(self, simulator, layout, space, group):
-        if simulator.config.reads_path:
+    def __init__(self, model_path: str, data_path: str):
+        opened = registry.open_model(model_path, data_path, 'test')
+        model, group = opened.model, max(opened.groups, key=lambda group: group.n_rigid)
+        self._simulator, self._scene = model.simulator, model.simulator.scene
+        if self._simulator.config.reads_path:
             raise ValueError(
                 'mode_order 0: an exported step has no memory of the path; use the stepper'
             )
-        self._simulator, self._layout, self._space = simulator, layout, space
-        self._scene, self._group = simulator.scene, group
-
-    @classmethod
-    def of_dataset(cls, model_path: str, data_path: str):
-        """Of a model folder and its dataset, which gives the subspace and a test run to compare
-        on, of the largest body; raises as `registry.open_model`."""
-        opened = registry.open_model(model_path, data_path, 'test')
-        model, group = opened.model, max(opened.groups, key=lambda group: group.n_rigid)
-        path, space = os.path.join(data_path, 'subspace.npz'), None
+        self._layout, self._group = model.layout(group.n_rigid), group.select(0)
+        path, self._space = os.path.join(data_path, 'subspace.npz'), None
         if os.path.exists(path):
-            space = model.fitting_subspace(subspace.Subspace.load(path))
-        return cls(model.simulator, model.layout(group.n_rigid), space, group.select(0))
+            self._space = model.fitting_subspace(subspace.Subspace.load(path))
 
     def step(self, offset, velocity, rigid_offset=None, rigid_velocity=None, context=None):
         """The coming frame, a predicted body kept rigid; arguments and results as of `MEANING`."""

@@ -66,10 +66,10 @@ def test_copies_need_a_subspace_and_join_the_training(driven):
     assert len(more.position) > len(group.position)
 
 
-def test_exports_refuse_a_path_by_name(driven):
-    made, group, _ = driven
+def test_exports_refuse_a_path_by_name(driven, tmp_path):
+    made = driven[0]
     with pytest.raises(ValueError, match='no memory of the path'):
-        step_functions.StepFunctions(made.simulator, made.layout(group.n_rigid), None, group)
+        step_functions.StepFunctions(*models.saved(tmp_path, 'mlp_driven'))
     with pytest.raises(ValueError, match="inputs .*'path', 'start'.* the C form knows"):
         model_data.refuse(made.simulator)
 
