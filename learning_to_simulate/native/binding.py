@@ -1,7 +1,7 @@
 """`CSubspace`: one run of a model in a subspace by the C library, called by ctypes.
 
-It is thin: what a user steps is a `live.stepper.Stepper` (`engines`). Arguments of methods are
-checked so far that C survives them; what has no method is reached by `CSubspace.call`.
+It is thin: what a user steps is a `live.stepper.Stepper` by an `engines.CStep`. Arguments of
+methods are checked so far that C survives them; what has no method is reached by `CSubspace.call`.
 """
 
 import ctypes

@@ -22,7 +22,6 @@ from learning_to_simulate.native import (
     soil_data,
     soil_engine,
 )
-from learning_to_simulate.native.binding import CSubspace
 from learning_to_simulate.rollout_status import RolloutStatus
 from learning_to_simulate.scene import RigidMotion
 from learning_to_simulate.soil_field import runs
@@ -72,8 +71,8 @@ class CModel:
 
         def make(*_):
             if library_path is not None:
-                return CSubspace.open(library_path, self._name)
-            return CSubspace.of(self._model, n, subspace=self._space)
+                return engines.CStep.open(library_path, self._name)
+            return engines.CStep.of(self._model, n, subspace=self._space)
 
         return [engines.by_c(*parts, make, n_rigid=n), Stepper(*parts, n)]
 
