@@ -108,7 +108,7 @@ def find_edges(
     posterior = edge_posterior(model, data.features)
     probabilities = posterior.mean(axis=0)
     wish = {'threshold': threshold} if keep is None else {'keep': keep}
-    mask = edge_lists.select(probabilities, **wish, self_edges=False)
+    mask = edge_lists.select(probabilities, **wish)
     found = edge_lists.degeneracy(mask)
     if found and not allow_degenerate:
         p = probabilities[~np.isnan(probabilities)]

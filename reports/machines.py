@@ -73,7 +73,6 @@ class Simple:
         self._area = 0.0
         self._radius = run.tool.radius if run.tool.name == 'wheel' else 0.0
         self._start = run.pose[0, 0]
-        self._soil = terramechanics.TerrainParameters()
         if self._radius:
             way = self._start - run.pose[:, 0]
             wheel = terramechanics.Wheel(
@@ -81,7 +80,8 @@ class Simple:
                 terramechanics.RIM_FRICTION,
             )  # fmt: skip
             # A wheel is moved along its path.
-            self._bed = terramechanics.Bed(wheel, self._soil, way.min(), way.max(), 80)
+            soil = terramechanics.TerrainParameters()
+            self._bed = terramechanics.Bed(wheel, soil, way.min(), way.max(), 80)
         self.force = np.zeros(2)
 
     def step(self):
@@ -98,9 +98,9 @@ class Simple:
         elif self._radius:
             turned = self._radius * data.joint('lean').qpos[0]
             travel = self._start - data.body('tool').xpos[0]
-            contact = self._bed.contact(travel, turned)
-            forward, up, _ = contact.forces(depth, self._soil)
-            self._bed.press(contact, depth)
+            self._bed.move(travel, turned)
+            forward, up, _ = self._bed.forces(depth)
+            self._bed.press(depth)
             damped = max(up - DAMPING * z, 0.0) if up > 0 else 0.0
             force = np.array([-forward, damped])
         else:
@@ -114,12 +114,7 @@ class Simple:
     def _cut(self, depth, speed):
         from learning_to_simulate.baselines import earthmoving
 
-        run, friction = self._run, self._run.soil.friction
-        soil = earthmoving.BladeSoil(
-            run.soil.density * run.soil.gravity, float(np.arcsin(min(friction, 0.999))),
-            float(np.arctan(earthmoving.BLADE.friction)), float(np.arctan(friction)),
-            run.tool.width, run.tool.length,
-        )  # fmt: skip
+        soil = earthmoving.BladeSoil.of(self._run.soil, self._run.tool)
         angle = self._data.joint('lean').qpos[0]
         parts = earthmoving.cutting_force(
             np.array([max(depth, 0.0)]), np.array([np.pi / 2 + angle]), np.array([self._area]), soil

@@ -16,17 +16,7 @@ import numpy as np
 
 # Failure planes that are compared, rad.
 _BETA = np.radians(np.linspace(5.0, 60.0, 111))
-
-
-@dataclasses.dataclass(frozen=True)
-class BladeGeometry:
-    """The solver's blade."""
-
-    height: float = 0.305  # of the face, m
-    friction: float = 0.3  # between blade and soil
-
-
-BLADE = BladeGeometry()
+BLADE_FRICTION = 0.3  # between the solver's blade and soil
 
 
 @dataclasses.dataclass(frozen=True)
@@ -38,7 +28,20 @@ class BladeSoil:
     wall_angle: float  # delta between soil and blade, rad
     repose_angle: float  # of the heap, rad
     width: float  # of the blade, m
-    height: float = BLADE.height  # of its face, m; a heap is no higher
+    height: float  # of its face, m; a heap is no higher
+
+    @classmethod
+    def of(cls, soil, tool) -> 'BladeSoil':
+        """Of a `Soil` and a blade of a soil field: phi is the arc sine of the soil's friction (at
+        most 0.999), and the friction is the slope of a heap."""
+        return cls(
+            unit_weight=soil.density * soil.gravity,
+            friction_angle=float(np.arcsin(min(soil.friction, 0.999))),
+            wall_angle=float(np.arctan(BLADE_FRICTION)),
+            repose_angle=float(np.arctan(soil.friction)),
+            width=tool.width,
+            height=tool.length,
+        )
 
 
 def factors(rake, friction_angle, wall_angle, beta, depth_over_width):

@@ -10,7 +10,6 @@ import time
 from types import SimpleNamespace
 
 import numpy as np
-import tqdm
 
 from learning_to_simulate import (
     bed,
@@ -74,24 +73,6 @@ class RidgeEvaluator(evaluation.Evaluator):
         return {key: float(np.mean(values)) for key, values in found.items()}
 
 
-def fit(config: PathRidgeConfig, data_path: str, metadata: dict, train_groups, valid_groups, scene):
-    """The regression of a config, fitted to the runs of a dataset folder, whose subspace holds the
-    resting bed; the valid runs choose. ValueError for a scene that the method does not fit."""
-    scene.check_one_body(f'the method {config.model}')
-    bodies = train_groups[0].position[:, :, : train_groups[0].n_rigid]
-    if not bodies.shape[2]:
-        raise ValueError(f'{config.model} needs a rigid body; {data_path} has none')
-    surface = bed.height_of_dataset(data_path, metadata, Axes.of_bodies([bodies], scene.up_axis))
-
-    def progress(choices):
-        return tqdm.tqdm(choices, unit='choice', desc='path ridge', disable=None)
-
-    return path_ridge.PathRidge.fit(
-        train_groups, valid_groups, scene, surface, config.max_samples, config.leave_one_out,
-        progress,
-    )  # fmt: skip
-
-
 def train(data_path, model_path, config, options) -> dict:
     """Fits the regression and leaves its model folder, or finds it done; see `registry.train`."""
     metadata = dataset.read_metadata(data_path)
@@ -102,8 +83,7 @@ def train(data_path, model_path, config, options) -> dict:
     parts = {'config': dataclasses.asdict(config), 'data': data}
     with folder_lock.locked(model_path):
         if not checkpoints.holds_model(model_path, parts, [ARRAYS_FILE]):
-            method = fit(config, data_path, metadata, groups, valid, scene)
-            _save(model_path, config, scene, method, groups, metadata, data)
+            _fit(model_path, config, data_path, metadata, groups, valid, scene, data)
         model = load(model_path)
     _, summary = RidgeEvaluator(model, metadata).run(valid, 'valid')
     print(evaluation.table(summary))
@@ -118,7 +98,17 @@ def train(data_path, model_path, config, options) -> dict:
     return summary
 
 
-def _save(path, config, scene, method, groups, metadata, data):
+def _fit(path, config, data_path, metadata, groups, valid, scene, data):
+    """Fits the regression to the runs of a dataset folder, whose subspace holds the resting bed,
+    and writes its folder. ValueError for a scene that the method does not fit."""
+    scene.check_one_body(f'the method {config.model}')
+    bodies = groups[0].position[:, :, : groups[0].n_rigid]
+    if not bodies.shape[2]:
+        raise ValueError(f'{config.model} needs a rigid body; {data_path} has none')
+    surface = bed.height_of_dataset(data_path, metadata, Axes.of_bodies([bodies], scene.up_axis))
+    method = path_ridge.PathRidge.fit(
+        groups, valid, scene, surface, config.max_samples, config.leave_one_out
+    )
     usual = presets.PRESETS['pcg']
     statistics = normalization.compute_statistics(groups, metadata, scene, usual)
     values, arrays = method.parts()

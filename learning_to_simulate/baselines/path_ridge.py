@@ -21,6 +21,7 @@ import itertools
 import json
 
 import numpy as np
+import tqdm
 
 from learning_to_simulate import metrics, swept
 from learning_to_simulate.axes import Axes, blade_pose, hidden_height, wheel_pose
@@ -259,7 +260,7 @@ class PathRidge:
 
     @classmethod
     def fit(
-        cls, train, valid, scene, surface=None, max_samples=3000, few_runs=False, progress=iter
+        cls, train, valid, scene, surface=None, max_samples=3000, few_runs=False
     ) -> 'PathRidge':
         """Fits all outputs, and chooses inputs, width and ridge by the error on the valid runs.
 
@@ -272,7 +273,6 @@ class PathRidge:
           few_runs: train on the valid runs, too, and choose by the error on each run of a fit to
             all others (errors on valid are then errors of training); the mean of the `BEST` choices
             of each kernel predicts.
-          progress: wraps the list of choices, e.g. `tqdm.tqdm`.
 
         Raises:
           ValueError: no runs, or a body whose motion is not known (the path is all there is).
@@ -287,7 +287,8 @@ class PathRidge:
         reader = PathInputs.of(groups, scene, surface)
         samples = _Samples(groups, reader, max_samples)
         kernels = tuple(KERNELS) if few_runs else ('gaussian',)
-        grid = progress(list(itertools.product(kernels, reader.sets, GAMMAS)))
+        grid = list(itertools.product(kernels, reader.sets, GAMMAS))
+        grid = tqdm.tqdm(grid, unit='choice', desc='path ridge', disable=None)
         if few_runs:
             few = _Samples(groups, reader, min(max_samples, _CHOOSING_SAMPLES))
             choices = list(_left_out(few, grid))

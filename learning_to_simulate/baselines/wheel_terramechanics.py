@@ -61,44 +61,6 @@ class WheelMotion(NamedTuple):
     torque: np.ndarray  # of the soil about the axle, against the turn, N m
 
 
-class Contact(NamedTuple):
-    """The bins [n] under a wheel in one frame."""
-
-    arch: np.ndarray  # height of the rim above its lowest point, m; infinite beyond the rim
-    sine: np.ndarray  # of the rim's angle from its lowest point, positive ahead
-    cosine: np.ndarray
-    deepest: np.ndarray  # sinkage so far, m
-    shear: np.ndarray  # share of the shear strength that is mobilised, signed
-    modulus: float  # p / z^n, Pa/m^n
-    friction: float  # that limits the shear stress
-    area: float  # of a bin, m2
-    window: np.ndarray  # numbers of the bins
-    slip: np.ndarray  # shear displacement j, m
-
-    def pressure(self, sinkage, parameters):
-        """Normal stress [n] (Pa) at a sinkage (m) of the lowest point."""
-        z = sinkage - self.arch
-        most = np.maximum(z, self.deepest)
-        virgin = self.modulus * np.maximum(most, 0.0) ** parameters.n
-        # Unloading: a share of p is gone for each share of its depth that the rim has risen.
-        risen = (most - z) / np.maximum(most, 1e-12)
-        left = np.maximum(1.0 - parameters.elastic * risen, 0.0)
-        return np.where(z > 0, virgin * left, 0.0)
-
-    def forces(self, sinkage, parameters):
-        """Forward and upward force, N, and torque per radius, N, at a sinkage (m)."""
-        pressure = self.pressure(sinkage, parameters)
-        strength = np.where(pressure > 0, parameters.cohesion + pressure * self.friction, 0.0)
-        tau = strength * self.shear
-        # A bin's share of the rim is area / cosine; stresses turn with the rim.
-        tangent = self.sine / self.cosine
-        return (
-            ((tau - pressure * tangent) * self.area).sum(),
-            ((pressure + tau * tangent) * self.area).sum(),
-            (tau / self.cosine * self.area).sum(),
-        )
-
-
 class Bed:
     """Bins along the travel of a wheel, between the least and largest of its axle (m), and what it
     has done to them; `n_bin` for each radius of travel."""
@@ -107,6 +69,7 @@ class Bed:
         self, wheel: Wheel, parameters: TerrainParameters, first: float, last: float, n_bin: int
     ):
         self._parameters, self._n_bin, self._radius = parameters, n_bin, wheel.radius
+        # p / z^n, Pa/m^n
         self._modulus = (parameters.k_c / wheel.width + parameters.k_phi) * (
             wheel.gravity / EARTH_GRAVITY
         )
@@ -117,42 +80,62 @@ class Bed:
         self._start = first - wheel.radius
         count = int(np.ceil((last - first + 2 * wheel.radius) / self._spacing)) + 1
         self._places = self._start + self._spacing * np.arange(count)
-        self._deepest, self._shear = np.zeros((2, count))
+        self._all_deepest, self._all_slip = np.zeros((2, count))  # of all bins, see `move`
         self._last: tuple | None = None
 
-    def contact(self, travel: float, rolled: float) -> Contact:
-        """The bins under the wheel after a travel and radius times angle turned, m; nothing has
-        been sheared before the first one."""
+    def move(self, travel: float, rolled: float) -> None:
+        """Looks at the bins [n] under the wheel after a travel and radius times angle turned, m;
+        nothing has been sheared before the first one."""
         # Only bins under the wheel are looked at: a frame costs the same on every path.
         first = int(np.floor((travel - self._radius - self._start) / self._spacing))
         window = np.clip(first + np.arange(2 * self._n_bin + 2), 0, len(self._places) - 1)
         ahead = self._places[window] - travel
         sine = np.clip(ahead / self._radius, -_RIM_END, _RIM_END)
         cosine = np.sqrt(1.0 - sine**2)
-        slip = self._shear[window]
+        slip = self._all_slip[window]
         if self._last is not None:
             # The rim passes the soil at omega R - v cos(angle).
             slip = slip + (rolled - self._last[1]) - (travel - self._last[0]) * cosine
-        self._last = travel, rolled
-        return Contact(
-            arch=np.where(np.abs(sine) < _RIM_END, self._radius * (1.0 - cosine), np.inf),
-            sine=sine,
-            cosine=cosine,
-            deepest=self._deepest[window],
-            shear=np.sign(slip) * (1.0 - np.exp(-np.abs(slip) / self._parameters.shear_modulus)),
-            modulus=self._modulus,
-            friction=self._friction,
-            area=self._area,
-            window=window,
-            slip=slip,
+        self._last, self._window = (travel, rolled), window
+        # Height of the rim above its lowest point, m, infinite beyond the rim; sine and cosine of
+        # its angle from there, positive ahead.
+        self._arch = np.where(np.abs(sine) < _RIM_END, self._radius * (1.0 - cosine), np.inf)
+        self._sine, self._cosine = sine, cosine
+        self._deepest = self._all_deepest[window]  # sinkage so far, m
+        self._slip = slip  # shear displacement j, m
+        # Share of the shear strength that is mobilised, signed.
+        modulus = self._parameters.shear_modulus
+        self._shear = np.sign(slip) * (1.0 - np.exp(-np.abs(slip) / modulus))
+
+    def _pressure(self, sinkage):
+        """Normal stress [n] (Pa) at a sinkage (m) of the lowest point."""
+        z = sinkage - self._arch
+        most = np.maximum(z, self._deepest)
+        virgin = self._modulus * np.maximum(most, 0.0) ** self._parameters.n
+        # Unloading: a share of p is gone for each share of its depth that the rim has risen.
+        risen = (most - z) / np.maximum(most, 1e-12)
+        left = np.maximum(1.0 - self._parameters.elastic * risen, 0.0)
+        return np.where(z > 0, virgin * left, 0.0)
+
+    def forces(self, sinkage: float):
+        """Forward and upward force, N, and torque per radius, N, at a sinkage (m)."""
+        pressure = self._pressure(sinkage)
+        strength = self._parameters.cohesion + pressure * self._friction
+        tau = np.where(pressure > 0, strength, 0.0) * self._shear
+        # A bin's share of the rim is area / cosine; stresses turn with the rim.
+        tangent = self._sine / self._cosine
+        return (
+            ((tau - pressure * tangent) * self._area).sum(),
+            ((pressure + tau * tangent) * self._area).sum(),
+            (tau / self._cosine * self._area).sum(),
         )
 
-    def press(self, contact: Contact, sinkage: float) -> None:
+    def press(self, sinkage: float) -> None:
         """Keeps what the wheel at a sinkage (m) has pressed in and sheared."""
-        pressed = contact.pressure(sinkage, self._parameters) > 0
-        reached = np.where(pressed, sinkage - contact.arch, 0.0)
-        self._deepest[contact.window] = np.maximum(contact.deepest, reached)
-        self._shear[contact.window] = np.where(pressed, contact.slip, 0.0)
+        pressed = self._pressure(sinkage) > 0
+        reached = np.where(pressed, sinkage - self._arch, 0.0)
+        self._all_deepest[self._window] = np.maximum(self._deepest, reached)
+        self._all_slip[self._window] = np.where(pressed, self._slip, 0.0)
 
 
 def drive(
@@ -171,15 +154,15 @@ def drive(
     bed = Bed(wheel, parameters, travel.min(), travel.max(), n_bin)
     rows = []
     for way, turn, load in zip(travel, rolled, np.broadcast_to(wheel.load, travel.shape)):
-        contact = bed.contact(way, turn)
+        bed.move(way, turn)
         low, high = 0.0, wheel.radius
         for _ in range(_BISECTIONS):
             middle = (low + high) / 2
-            if contact.forces(middle, parameters)[1] >= load:
+            if bed.forces(middle)[1] >= load:
                 high = middle
             else:
                 low = middle
-        forward, upward, moment = contact.forces(high, parameters)
+        forward, upward, moment = bed.forces(high)
         rows.append((high, forward, upward, wheel.radius * moment))
-        bed.press(contact, high)
+        bed.press(high)
     return WheelMotion(*np.transpose(rows))

@@ -7,9 +7,7 @@ A SavedModel has a signature for each function, LiteRT and ONNX have a file for 
 
 import functools
 import os
-import warnings
 
-import numpy as np
 import tensorflow as tf
 from tensorflow.python.framework import convert_to_constants
 
@@ -45,6 +43,10 @@ def _write_saved_model(functions, variables, folder: str):
 
 
 def _write_tflite(functions, variables, folder: str):
+    try:
+        from ai_edge_litert.interpreter import Interpreter
+    except ImportError as error:
+        raise ValueError(_missing('ai-edge-litert')) from error
     holder = tf.Module(name='exported')
     holder.weights = variables
     paths = {name: os.path.join(folder, f'{name}.tflite') for name in functions}
@@ -54,24 +56,11 @@ def _write_tflite(functions, variables, folder: str):
 
     def load():
         return {
-            name: litert_interpreter()(model_path=path).get_signature_runner()
+            name: Interpreter(model_path=path).get_signature_runner()
             for name, path in paths.items()
         }
 
     return load
-
-
-def litert_interpreter():
-    """The class of LiteRT's interpreter; ValueError where it is not installed."""
-    try:
-        from ai_edge_litert.interpreter import Interpreter
-    except ImportError:
-        interpreter = getattr(tf.lite, 'Interpreter', None)  # Leaves TensorFlow one day.
-        if interpreter is None:
-            raise ValueError(_missing('ai-edge-litert')) from None
-        warnings.filterwarnings('ignore', message='.*tf.lite.Interpreter is deprecated.*')
-        return interpreter
-    return Interpreter
 
 
 def _write_onnx(functions, variables, folder: str):
@@ -86,9 +75,8 @@ def _write_onnx(functions, variables, folder: str):
         frozen = convert_to_constants.convert_variables_to_constants_v2(concrete)
         ends = [[tensor.name for tensor in part] for part in (frozen.inputs, frozen.outputs)]
         proto, _ = tf2onnx.convert.from_graph_def(
-            frozen.graph.as_graph_def(), input_names=ends[0], output_names=ends[1], opset=17,
-            custom_op_handlers={'SelectV2': (_where, []), 'Log1p': (_log1p, [])},
-        )  # fmt: skip
+            frozen.graph.as_graph_def(), input_names=ends[0], output_names=ends[1], opset=17
+        )
         inputs = {end: end.split(':')[0] for end in ends[0]}
         _rename(proto.graph, inputs | dict(zip(ends[1], _outputs(concrete), strict=True)))
         _write_bytes(paths[name], proto.SerializeToString())
@@ -101,19 +89,6 @@ def _write_onnx(functions, variables, folder: str):
         return {name: caller(paths[name], _outputs(c)) for name, c in functions.items()}
 
     return load
-
-
-def _where(context, node, name, arguments):
-    """A choice is a choice: tf2onnx makes it a sum of products, in which NaN and what is infinite
-    of the side that is not chosen come through."""
-    node.type = 'Where'
-
-
-def _log1p(context, node, name, arguments):
-    """ONNX has a logarithm, and no other of what is added to 1."""
-    one = context.make_const(f'{node.name}_one', np.ones([], np.float32))
-    node.input[:] = context.make_node('Add', [node.input[0], one.output[0]]).output
-    node.type = 'Log'
 
 
 def _outputs(concrete):

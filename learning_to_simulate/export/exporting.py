@@ -2,27 +2,17 @@
 
 To TensorFlow's relatives go functions of arrays without memory: of a model in a subspace `step` and
 `reconstruct` (`step_functions`). In C and as an FMU a model keeps its state (`native.exporting`); a
-soil field has no other form. `export.json` beside the model says what every
-input and output is, and `sample.npz` holds calls of functions to check another program with. What
-was written is loaded again and compared with the source model on a recorded run; beyond round-off
-the export is refused.
+soil field has no other form. `export.json` beside the model says what every input and output is,
+and `sample.npz` holds calls of functions to check another program with. What was written is loaded
+again and compared with the source model on a recorded run; beyond round-off the export is refused.
 """
 
 import os
-import time
-
-import numpy as np
 
 from learning_to_simulate import native
 from pca_tools import files
 
-DESCRIPTION_FILE, SAMPLE_FILE = 'export.json', 'sample.npz'
 FORMATS = ('savedmodel', 'tflite', 'onnx', *native.FORMATS)
-# Largest difference to the source as a share of the largest motion or load of the compared calls.
-# Measured 4e-7 (excavation) to 2e-6 (wheel): float32 sums in another order.
-TOLERANCE = 1e-4
-# Of particles, m; float32 positions of a metre resolve 1e-7.
-PARTICLES_TOLERANCE = 2e-6
 
 
 def export(
@@ -64,11 +54,8 @@ def export(
     }
 
     def fill(folder):
-        if kind in native.FORMATS:
-            description.update(exported.write(kind, folder))
-        else:
-            description.update(_write_functions(exported, kind, folder))
-        files.write_json(os.path.join(folder, DESCRIPTION_FILE), description)
+        description.update(exported.write(kind, folder))
+        files.write_json(os.path.join(folder, 'export.json'), description)
 
     files.write_folder_atomically(output_path, fill)
     return description
@@ -93,79 +80,7 @@ def _exported(model_path, data_path, kind, n_tools):
         return CModel(model_path, data_path)
     from learning_to_simulate.export.step_functions import StepFunctions
 
-    return StepFunctions.of_dataset(model_path, data_path)
-
-
-def _write_functions(exported, kind, folder):
-    from learning_to_simulate.export import export_formats
-
-    def rows(tensors):
-        return {k: [list(t.shape), t.dtype.name, exported.meaning[k]] for k, t in tensors.items()}
-
-    functions, samples = exported.functions(kind), exported.samples()
-    concrete = export_formats.concrete(functions, kind)
-    load = export_formats.WRITERS[kind](concrete, exported.variables, folder)
-    start = time.perf_counter()
-    loaded = load()
-    seconds = time.perf_counter() - start
-    compared = compare(exported, loaded, samples)
-    arrays: dict[str, np.ndarray] = {}
-    for calls in samples.values():
-        named = [inputs | outputs for inputs, outputs in calls]
-        arrays = {name: np.stack([row[name] for row in named]) for name in named[0]} | arrays
-    files.write_npz(os.path.join(folder, SAMPLE_FILE), **arrays)
-    signatures = {
-        name: {'inputs': rows(functions[name][1]), 'outputs': rows(found.structured_outputs)}
-        for name, found in concrete.items()
-    }
-    return {'signatures': signatures, 'load_s': seconds, 'compared': compared}
-
-
-def compare(exported, loaded, samples) -> dict:
-    """Differences of loaded functions to their source, and times per call.
-
-    Args:
-      exported: has `parts(outputs)`: what is compared, by name; particles, m, as `particles_m`.
-      loaded: name -> function of arrays.
-      samples: name -> calls, (inputs, outputs of the source).
-
-    Raises:
-      ValueError: a difference above its tolerance, or outputs that are not finite.
-    """
-    shares, milliseconds, particles = {}, {}, 0.0
-    for function, calls in samples.items():
-        seconds, pairs = [], {}
-        for inputs, expected in calls:
-            clock = time.perf_counter()
-            found = {k: np.asarray(v) for k, v in loaded[function](**inputs).items()}
-            seconds.append(time.perf_counter() - clock)
-            parts = exported.parts(found), exported.parts(expected)
-            for name in parts[1]:
-                pairs.setdefault(name, []).append([np.asarray(p[name], np.float64) for p in parts])
-        milliseconds[function] = 1e3 * float(np.median(seconds[1:]))
-        for name, values in pairs.items():
-            one, other = (np.stack(column) for column in zip(*values))
-            apart, size = float(np.abs(one - other).max()), float(np.abs(other).max())
-            if name == 'particles_m':
-                particles = apart
-            else:
-                shares[name] = apart / size if size > 0 else apart
-    bad = {name: share for name, share in shares.items() if not share <= TOLERANCE}
-    if not particles <= PARTICLES_TOLERANCE:
-        bad['particles_m'] = particles
-    if bad:
-        raise ValueError(
-            f'the exported model differs from its source by {bad}, more than {TOLERANCE:g} of the '
-            f'largest motion or load or {PARTICLES_TOLERANCE:g} m; nothing was written'
-        )
-    return {
-        'calls': len(calls),
-        'relative_difference': shares,
-        'tolerance': TOLERANCE,
-        'particles_difference_m': particles,
-        'particles_tolerance_m': PARTICLES_TOLERANCE,
-        'ms_per_call': milliseconds,
-    }
+    return StepFunctions(model_path, data_path)
 
 
 def summary(description: dict, output_path: str) -> str:

@@ -194,6 +194,13 @@ class ParticleSimulator(snt.Module):
             return 1.0
         return float(max(_speed(body_velocity) / self.statistics.body_speed[0], RATE_FLOOR))
 
+    def base_and_std(self, velocity):
+        """Displacement [V, D] that the network's is added to, and scale [D] of what it says of the
+        soil, m/frame; of velocities [H - 1, V, D]."""
+        if self.config.mode_order == 2:
+            return velocity[-1], self.statistics.acceleration_std[1]
+        return np.zeros_like(velocity[-1]), self.statistics.velocity_std[1]
+
     def given_motion(self, displacement):
         """The given part of the body's true displacement [R, D]: all but its mean height where that
         is predicted."""
@@ -217,9 +224,8 @@ class ParticleSimulator(snt.Module):
         given = self.given_motion(body_displacement)
         graph = self.inputs(position, velocity, given, context, n_rigid)
         target, forces = (None if x is None else x.numpy() for x in self.decode(*graph))
-        std = s.velocity_std if self.config.mode_order == 1 else s.acceleration_std
-        base = velocity[-1] if self.config.mode_order == 2 else np.zeros_like(position)
-        displacement = base + target * std[1] * self.rate(given)
+        base, std = self.base_and_std(velocity)
+        displacement = base + target * std * self.rate(given)
         displacement[:n_rigid] = given
         if self.scene.rigid_motion == RigidMotion.DRIVEN:
             up = self.scene.up_axis
@@ -227,13 +233,9 @@ class ParticleSimulator(snt.Module):
             displacement[:n_rigid, up] += velocity[-1, :n_rigid, up].mean() + height
         force = None
         if forces is not None:
-            force = self.pooled_force(forces, n_rigid) * s.force_std + s.force_mean
+            # Of the rigid particles, on which it acts; of all where there are none.
+            force = forces[: n_rigid or None].mean(axis=0) * s.force_std + s.force_mean
         return displacement, force, len(graph[2])
-
-    def pooled_force(self, forces, n_rigid):
-        """Mean over the rigid particles [D], on which the force acts; over all where there are
-        none."""
-        return forces[: n_rigid or None].mean(axis=0)
 
 
 def history_of(group, run: int, end: int):

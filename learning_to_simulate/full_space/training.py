@@ -83,9 +83,8 @@ class ParticleTrainer(GradientTraining):
             position, velocity = position + walk.sum(axis=0), velocity + walk
         context = group.context_at(end + 1, run)
         graph = simulator.inputs(position, velocity, given, context, n)
-        base = velocity[-1] if config.mode_order == 2 else 0.0
-        std = s.acceleration_std if config.mode_order == 2 else s.velocity_std
-        target = (coming - base) / (rate * std[1])
+        base, std = simulator.base_and_std(velocity)
+        target = (coming - base) / (rate * std)
         weight = np.full(target.shape, 1.0 / (len(target) - n))
         weight[:n] = 0.0
         if scene.rigid_motion == RigidMotion.DRIVEN:

@@ -1,7 +1,7 @@
 """`CSubspace`: one run of a model in a subspace by the C library, called by ctypes.
 
-It is thin: what a user steps is a `live.stepper.Stepper` (`engines`). Arguments of methods are
-checked so far that C survives them; what has no method is reached by `CSubspace.call`.
+It is thin: what a user steps is a `live.stepper.Stepper` by an `engines.CStep`. Arguments of
+methods are checked so far that C survives them; what has no method is reached by `CSubspace.call`.
 """
 
 import ctypes
@@ -14,14 +14,6 @@ from learning_to_simulate.live.poses import numbers
 from learning_to_simulate.native import c_values, library, model_data
 
 KERNELS = ('scalar', 'vector4', 'avx2', 'avx512')
-
-
-class KernelLacks(ValueError):
-    """This machine lacks the instructions of a kernel."""
-
-
-def _given(name, values, shape):
-    return None if values is None else numbers(name, values, shape)
 
 
 class SubspaceResult(NamedTuple):
@@ -68,7 +60,7 @@ class CSubspace:
         try:
             self.call('init', self._memory, self._memory.nbytes, code, ctypes.byref(soil))
         except ValueError:
-            raise KernelLacks(f'this machine lacks kernel {kernel!r}') from None
+            raise ValueError(f'this machine lacks kernel {kernel!r}') from None
         self._soil = soil
         self._result = self._structure('result')
         self._n, self._n_modes = self.description.n_rigid, self.description.n_modes
@@ -118,14 +110,15 @@ class CSubspace:
     def _context(self, context):
         if (context is None) == bool(self._names):
             raise ValueError(f'the scene takes context {self._names}, got {context}')
-        return _given('context', context, (len(self._names),))
+        return None if context is None else numbers('context', context, (len(self._names),))
 
     def step(self, rigid_pose=None, context=None) -> SubspaceResult:
         """The next frame, with the body at particles [R, 3], m, where its motion is given."""
         if context is not None:
             self.call('set_context', self._context(context))
-        points = _given('rigid_pose', rigid_pose, (self._n, 3))
-        return self._newest(self.call('frame', points, ctypes.byref(self._result)))
+        if rigid_pose is not None:
+            rigid_pose = numbers('rigid_pose', rigid_pose, (self._n, 3))
+        return self._newest(self.call('frame', rigid_pose, ctypes.byref(self._result)))
 
     def _newest(self, status):
         modes, points = np.empty((self._n_modes, 3)), np.empty((self._n, 3))

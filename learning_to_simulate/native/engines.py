@@ -46,56 +46,46 @@ def stepper(model, starts=None, subspace=None, kind: str = BEST, **options) -> S
     return chosen(kind, lambda: by_c(model, starts, subspace, **options), by_tensorflow)
 
 
-def by_c(model, starts, subspace, make=CSubspace.of, **options) -> Stepper:
-    """A stepper by C; `make` makes the `CSubspace` of (model, R)."""
-    found = Stepper(
-        model, starts, subspace, make_step=lambda *of: CStep(make(*of)), **options
-    )  # fmt: skip
-    found.engine = f'C ({found.computing.name})'
-    return found
-
-
-class CStep:
+class CStep(CSubspace):
     """A step of `Stepper` by the C library: the same frames as `live.tf_step.TfStep`."""
 
-    def __init__(self, soil: CSubspace):
-        self._soil, self._before = soil, soil.another()
-        self._is_proposed = False
+    _before: 'CStep | None' = None  # the state that a proposal left behind
+    _is_proposed = False
 
-    @property
-    def name(self) -> str:
-        """The instructions that run."""
-        return self._soil.kernel
-
-    def reset(self, history, context) -> None:
+    def reset(self, history, context=None) -> None:
         """As of `TfStep`."""
-        self._soil.reset(history, context)
+        super().reset(history, context)
         self._is_proposed = False
 
     def propose(self, body, displacement, context=None):
         """As of `TfStep`; the displacement is not needed: the library keeps the body of the last
         frame."""
         del displacement
+        if self._before is None:
+            self._before = self.another()
         if self._is_proposed:
-            self._soil.copy_state(self._before)
+            self.copy_state(self._before)
         else:
-            self._before.copy_state(self._soil)
+            self._before.copy_state(self)
         self._is_proposed = True
-        frame = self._soil.step(body, context)
+        frame = self.step(body, context)
         return np.concatenate([frame.rigid_pose, frame.modes]), frame.force
-
-    def particles(self) -> np.ndarray:
-        """float32 [N, 3], m, of the frame that was computed last, as the library decodes them."""
-        return self._soil.particles()
 
     def accept(self) -> None:
         self._is_proposed = False
 
     @property
     def state(self) -> bytes:
-        return (self._before if self._is_proposed else self._soil).save()
+        return (self._before if self._is_proposed and self._before else self).save()
 
     @state.setter
     def state(self, state: bytes) -> None:
-        self._soil.load_state(state)
+        self.load_state(state)
         self._is_proposed = False
+
+
+def by_c(model, starts, subspace, make=CStep.of, **options) -> Stepper:
+    """A stepper by C; `make` makes the `CStep` of (model, R)."""
+    found = Stepper(model, starts, subspace, make_step=make, **options)
+    found.engine = f'C ({found.computing.kernel})'
+    return found

@@ -1,4 +1,9 @@
-"""Writes a model as an FMU of FMI 2.0 (co-simulation): sources, and a binary for this machine."""
+"""Writes a model as an FMU of FMI 2.0 (co-simulation): sources, and a binary for this machine.
+
+Variables are numbered as modelDescription.xml and the C code of `c/fmi` number them. Names follow
+Chrono's tyre FMU (`wheel_state.pos.x`, `wheel_load.force.x`); a tool whose pose is prescribed is
+called `tool` instead of `wheel`.
+"""
 
 import math
 import os
@@ -6,10 +11,253 @@ import platform
 import tempfile
 import uuid
 import zipfile
+from typing import NamedTuple
 from xml.etree import ElementTree
 
-from learning_to_simulate.native import fmu_variables, library, project
-from learning_to_simulate.native.fmu_variables import Layout
+from learning_to_simulate.native import library, project
+from learning_to_simulate.soil_field.tools import TOOLS, Soil
+
+# Of a soil field: places at which heights are told, along and across (fmu_soil.h), and what the
+# terrain is at first, m.
+HEIGHTS = (9, 5)
+TERRAIN = {'size': (4.0, 2.0), 'cell': 0.02, 'height': 0.0, 'depth': 1.0, 'grid': 0.1}
+STEP = 0.01  # s, step of the default experiment
+
+
+class Variable(NamedTuple):
+    """A scalar variable as modelDescription.xml has it; causality 'constant' is a local one.
+    `start` is None where it is calculated; `limits` are what else the description says of its
+    values."""
+
+    name: str
+    unit: str | None
+    causality: str
+    text: str
+    start: float | str | None = None
+    limits: dict | None = None
+
+
+class Layout(NamedTuple):
+    """What an FMU has.
+
+    Attributes:
+      body: what its variables call the body.
+      reals, integers, booleans, strings: variables by value reference.
+      dt: step of the default experiment, s.
+      derivatives: whether there are directional ones.
+      kind: of the C files, `fmu_<kind>.c`.
+      lines: of fmu_model.h, with first value and kind of each real.
+    """
+
+    body: str
+    reals: dict[int, Variable]
+    integers: list[Variable]
+    booleans: list[Variable]
+    strings: list[Variable]
+    dt: float
+    derivatives: bool
+    kind: str
+    lines: list[str]
+
+
+def layout_of(values: dict, tools: int = 1) -> Layout:
+    """The layout of `model_data.values` or `soil_data.values`, with a number of tools; ValueError
+    for a model without a body or a start, or with another number of tools."""
+    if project.is_soil(values):
+        if not 1 <= tools <= 16:
+            raise ValueError(f'tools is {tools}: 1 to 16 tools can work on the terrain of an FMU')
+        return _of_soil(values, tools)
+    if tools != 1:
+        raise ValueError(f'tools is {tools}: a model in the subspace has one body')
+    if not (values['n_start'] and values['n_rigid']):
+        raise ValueError('an FMU needs a body, and a start from the training runs')
+    return _of_graph(values)
+
+
+def _inputs(state, place, point, attitude):
+    return [
+        *(Variable(f'{state}.pos.{a}', 'm', 'input', f'reference point: {point}', v)
+          for a, v in zip('xyz', place, strict=True)),
+        *(Variable(f'{state}.rot.e{i}', None, 'input', attitude, float(i == 0)) for i in range(4)),
+        *_vector(f'{state}.lin_vel', 'm/s', 'input', 'of the reference point', 0.0),
+        *_vector(f'{state}.ang_vel', 'rad/s', 'input', 'in the world frame', 0.0),
+    ]  # fmt: skip
+
+
+def _load(load, moment):
+    return [
+        *_vector(f'{load}.point', 'm', 'output', 'where the load is applied'),
+        *_vector(f'{load}.force', 'N', 'output', 'of the soil on the body'),
+        *_vector(f'{load}.moment', 'N.m', 'output', moment),
+    ]
+
+
+def _vector(name, *rest):
+    return [Variable(f'{name}.{axis}', *rest) for axis in 'xyz']
+
+
+# Causality -> kind in fmu_core.h.
+_KINDS = {
+    'input': 'FMU_INPUT', 'output': 'FMU_OUTPUT', 'local': 'FMU_OUTPUT',
+    'parameter': 'FMU_PARAMETER', 'constant': 'FMU_CONSTANT',
+}  # fmt: skip
+
+
+def _digest(values):
+    text = 'sha256 of the numbers of the model'
+    return Variable('digest', None, 'constant', text, values['digest'])
+
+
+# ---- models in the subspace ----
+
+_BOOLEANS = {
+    'ok': 'nothing of the following has held since the start',
+    'extrapolating': 'context, start, pose or speed lies outside the training runs',
+    'left_bounds': 'the soil left twice the hull of its training positions',
+    'non_finite': 'a position or force is not finite',
+}
+
+
+def _of_graph(values):
+    c = library.constants()
+    body = 'tool' if values['motion'] == c['LTS_PRESCRIBED'] else 'wheel'
+    place = values['starts'][0]['points'].mean(axis=0)
+    names = values['context_names'].split(',') if values['n_context'] else []
+    reals = [
+        *_inputs(f'{body}_state', place, 'the mean of the body points',
+                 'rotation from the start attitude'),
+        *_load(f'{body}_load', '0: the model has learned no torque'),
+        Variable('sinkage', 'm', 'output' if body == 'wheel' else 'local',
+                 'height lost since the start'),
+        Variable('drawbar_pull', 'N', 'output', 'force along the horizontal velocity'),
+        Variable('step_size', 's', 'constant', 'a frame of the model; never split', values['dt']),
+        *(Variable(name, None, 'parameter', 'of the scene', value)
+          for name, value in zip(names, values['starts'][0]['context'])),
+    ]  # fmt: skip
+    text = 'which training start; -1: the one whose parameters are nearest'
+    limits = {'min': '-1', 'max': str(values['n_start'] - 1)}
+    given = values['motion'] in (c['LTS_PRESCRIBED'], c['LTS_DRIVEN'])
+    numbered: dict[int, Variable] = dict(enumerate(reals))
+    return Layout(
+        body, numbered, [Variable('start', None, 'parameter', text, '-1', limits)],
+        [Variable(f'status.{name}', None, 'output', text) for name, text in _BOOLEANS.items()],
+        [_digest(values)], values['dt'], False, 'graph',
+        [f'#define FMU_CONTEXT {values["n_context"]}', f'#define FMU_GIVEN {int(given)}',
+         *_table(numbered, len(reals))],
+    )  # fmt: skip
+
+
+# ---- soil fields ----
+
+_SHAPE = {
+    'width': ('m', 'across the way'),
+    'radius': ('m', 'of the lower edge, or of the rim between grousers'),
+    'length': ('m', 'height of the outline over the edge'),
+    'bucket': (None, '1 of a shell that is open to the front, 0 of a flat blade'),
+    'plates': (None, '1 where the ends of a bucket are closed, else 0'),
+    'lugs': (None, 'number of grousers'),
+    'lug_height': ('m', 'of the grousers'),
+}  # as in lts_soil_tool
+_SPREADS = ('along', 'up', 'across')
+_SOIL_BOOLEANS = {
+    'ok': 'all frames since the start resemble the training runs',
+    'ok_now': 'the newest frame resembles them',
+    'extrapolating': 'tool, soil, terrain, pose or speed lies outside the training runs',
+    'non_finite': 'a force is not finite',
+}
+
+
+def _of_soil(values, tools):
+    c = library.constants()
+    name = 'wheel' if values['kind'] == c['LTS_SOIL_WHEEL'] else 'blade'
+    body, tool = 'tool' if name == 'blade' else 'wheel', TOOLS[name]()
+    reals: dict[int, Variable] = {}
+    integers, booleans, strings = [], [], [_digest(values)]
+    (length, across), count = TERRAIN['size'], 0
+    for k in range(tools):
+        place = (0.75 * length, tool.radius + 0.05, across * (k + 0.5) / tools)
+        index = f'[{k + 1}]' if tools > 1 else ''
+        known = _of_tool(name, body, index, place, tool)
+        reals |= {count + at: variable for at, variable in known.items()}
+        count += N_OF_TOOL
+        measures = ', '.join(
+            f'{i + 1} {n}' for i, n in enumerate(values['judged_names'].split(','))
+        )
+        text = f'what first left its range since the start: {measures}; 0 nothing, -1 not finite'
+        integers.append(Variable(f'status{index}.reason', None, 'output', text))
+        strings.append(Variable(f'status{index}.text', None, 'output', 'the same in words'))
+        booleans += [
+            Variable(f'status{index}.{label}', None, 'output', text)
+            for label, text in _SOIL_BOOLEANS.items()
+        ]
+    ground = _ground()
+    reals |= dict(enumerate(ground, count))
+    return Layout(
+        body, reals, integers, booleans, strings, STEP, True, 'soil',
+        [f'#define FMU_TOOLS {tools}', f'#define FMU_STEP {STEP!r}',
+         *_table(reals, count + len(ground))],
+    )  # fmt: skip
+
+
+N_OF_TOOL = 31 + HEIGHTS[0] * HEIGHTS[1] + len(_SHAPE)  # VR_TOOL of fmu_soil.h
+
+
+def _of_tool(name, body, index, place, tool):
+    """Value reference within a tool -> variable."""
+    state, load = f'{body}_state{index}', f'{body}_load{index}'
+    point = 'the middle of the lower edge' if name == 'blade' else 'the middle of the axle'
+    spread = 'standard deviation over the networks of the model'
+    found = [
+        *_inputs(state, place, point, 'rotation from upright, looking along -x'),
+        *_load(load, 'about the point'),
+        *(Variable(f'{load}.{part}_spread.{way}', unit, 'output', spread)
+          for part, unit in (('force', 'N'), ('moment', 'N.m')) for way in _SPREADS),
+        Variable(f'force_bound{index}', 'N', 'output',
+                 'of its error, kept by most frames like those of training; -1: unknown'),
+        Variable(f'sinkage{index}', 'm', 'output',
+                 'depth of the lowest point under the terrain as it began'),
+        Variable(f'drawbar_pull{index}', 'N', 'output', 'force along the way the tool looks'),
+        *(Variable(f'ground{index}.height[{i + 1},{j + 1}]', 'm', 'output',
+                   f'of the terrain, {i - HEIGHTS[0] // 2} terrain.grid ahead of the tool and '
+                   f'{j - HEIGHTS[1] // 2} across')
+          for i in range(HEIGHTS[0]) for j in range(HEIGHTS[1])),
+        *(Variable(f'{body}{index}.{part}', unit, 'parameter', text, float(getattr(tool, part)))
+          if hasattr(tool, part) else None for part, (unit, text) in _SHAPE.items()),
+    ]  # fmt: skip
+    return {at: variable for at, variable in enumerate(found) if variable is not None}
+
+
+def _ground():
+    soil, (length, across) = Soil(), TERRAIN['size']
+    own = {
+        'terrain.size.x': ('m', 'of the terrain, which begins at x = 0', length),
+        'terrain.size.z': ('m', 'of the terrain, which begins at z = 0', across),
+        'terrain.cell': ('m', 'side of a cell', TERRAIN['cell']),
+        'terrain.height': ('m', 'of the level terrain at first', TERRAIN['height']),
+        'terrain.depth': ('m', 'of the soil over its floor', TERRAIN['depth']),
+        'soil.friction_angle_deg': ('deg', 'of the soil', soil.friction_angle_deg),
+        'soil.density': ('kg/m3', 'of the soil in bulk', soil.density),
+        'soil.gravity': ('m/s2', 'acceleration', soil.gravity),
+        'terrain.grid': ('m', 'distance of the places at which heights are told', TERRAIN['grid']),
+    }
+    return [
+        Variable(name, unit, 'parameter', text, float(start))
+        for name, (unit, text, start) in own.items()
+    ]
+
+
+def _table(reals: dict[int, Variable], count: int) -> list[str]:
+    """Lines of fmu_model.h: first value and kind of each real; 0 where there is none."""
+    rows = [reals.get(at) for at in range(count)]
+    first = (float(r.start) if r and r.start is not None else 0.0 for r in rows)
+    kinds = (_KINDS[r.causality] if r else 'FMU_NONE' for r in rows)
+    return [
+        f'#define FMU_{name} {{{", ".join(map(str, values))}}}'
+        for name, values in (('FIRST', first), ('KINDS', kinds))
+    ]
+
+
+# ---- the files ----
 
 _DATE = (1980, 1, 1, 0, 0, 0)  # of every file: equal models give equal FMUs
 _SYSTEM = platform.system()
@@ -116,7 +364,7 @@ def write(path: str, name: str, values: dict, tools: int = 1) -> None:
       ValueError: no start, a model without a body, another number of tools, or sources that do not
         compile.
     """
-    layout = fmu_variables.of(values, tools)
+    layout = layout_of(values, tools)
     with tempfile.TemporaryDirectory() as folder:
         sources = os.path.join(folder, 'sources')
         os.makedirs(sources)

@@ -227,12 +227,12 @@ class _Graph:
 
     def _first_layer(self):
         """First layer of the node encoder without the embedding [F, L], and its bias [V, L]."""
-        simulator = self._simulator
-        w, b = self._node_encoder.first
-        widths = {f.name: f.width(simulator) for f in features.of(simulator)}
-        before = sum(list(widths.values())[: list(widths).index('embedding')])
-        embedding = slice(before, before + widths['embedding'])
+        simulator, (w, b) = self._simulator, self._node_encoder.first
         of_nodes = np.asarray(simulator.node_embedding(self._layout), np.float64)
+        # The context alone comes behind the embedding, with its logarithm where there is one.
+        n_context = len(simulator.scene.context_names)
+        n_context *= 1 if simulator.statistics.log_context_mean is None else 2
+        embedding = slice(len(w) - n_context - of_nodes.shape[1], len(w) - n_context)
         return np.delete(w, embedding, axis=0), of_nodes @ w[embedding] + b
 
     def _edge_first(self, m):

@@ -32,6 +32,20 @@ _BITS = {
     'LTS_OUTSIDE_SPEED': ('speed', 'along'),
 }  # fmt: skip
 
+# Constants of the method that are fields of the same name in small letters.
+_CONSTANTS = {
+    engine: ('FASTEST', 'FASTEST_TURN', 'TURNED', 'MOVED'),
+    network: (
+        'HEAP', 'ABOVE', 'RAMP', 'UNDER_ALONG', 'UNDER_ACROSS', 'FORCE', 'TORQUE', 'GAIN_LIMIT',
+        'STIR', 'BESIDE_RAMP', 'BELOW', 'BELOW_RAMP', 'LENGTH', 'NEIGHBOUR',
+    ),
+    passage: ('AHEAD', 'EVEN', 'MAX_STEP', 'SET_DOWN', 'FACTOR', 'UNDER', 'CROSSED'),
+    strips: ('N_BESIDE', 'BESIDE_WIDTH', 'ACROSS', 'BESIDE'),
+    sweep: ('WINDOW', 'FORGET', 'MEMORIES', 'TOUCH', 'REACH', 'RISE'),
+    terrain: ('SLIDES', 'SLOPE_TOLERANCE'),
+    tools: ('BUCKET_EDGE', 'STANDARD_DENSITY', 'STANDARD_GRAVITY'),
+}  # fmt: skip
+
 
 def values(field) -> dict:
     """The fields of `lts_soil_model` of a `SoilField`; ValueError for one that the C code cannot
@@ -45,7 +59,12 @@ def values(field) -> dict:
     layers = {name: _numpy(getattr(networks, name)) for name in network.HIDDEN}
     w, b = layers['load'][0]
     n_own = len(tabled.load)
-    result = {
+    result: dict = {
+        name.lower(): getattr(module, name)
+        for module, names in _CONSTANTS.items()
+        for name in names
+    }
+    result |= {
         'abi': c['LTS_ABI'],
         'kind': kind,
         'n_member': networks.members,
@@ -56,63 +75,24 @@ def values(field) -> dict:
         'spacing': grid.spacing,
         'back': grid.back,
         'on': grid.on,
-        'window': sweep.WINDOW,
-        'forget': sweep.FORGET,
-        'memories': sweep.MEMORIES,
-        'touch': sweep.TOUCH,
-        'reach': sweep.REACH,
-        'rise': sweep.RISE,
         'n_column': tool.columns,
-        'n_beside': strips.N_BESIDE,
-        'beside_width': strips.BESIDE_WIDTH,
-        'across': strips.ACROSS,
         'taught_widths': tools.Blade.taught_widths,
         'rim': tools.Wheel.RIM,
-        'bucket_edge': tools.BUCKET_EDGE,
         'lean_length': tools.LEAN,
-        'standard_density': tools.STANDARD_DENSITY,
-        'standard_gravity': tools.STANDARD_GRAVITY,
-        'ahead': passage.AHEAD,
         'below_tool': passage.BELOW,
-        'even': passage.EVEN,
-        'max_step': passage.MAX_STEP,
-        'set_down': passage.SET_DOWN,
-        'factor': passage.FACTOR,
         'lifted': tool.lifted,
-        'under': passage.UNDER,
         'turned_back': passage.BACK,
         'strikes': tool.strikes,
-        'slides': terrain.SLIDES,
-        'slope_tolerance': terrain.SLOPE_TOLERANCE,
         'slide_shares': [share for share, *_ in terrain.SLIDE_WAYS],
-        'fastest': engine.FASTEST,
-        'fastest_turn': engine.FASTEST_TURN,
-        'turned': engine.TURNED,
-        'moved': engine.MOVED,
         'n_scalar': len(scalars),
         'n_own': len(tool.scalars),
         'radius': scalars.index('radius'),
         'n_around': len(network.AROUND_TOOL),
         'see_reach': max(soil_field.NEAR, _farthest(tabled.load, tabled.side), *network.AROUND_TOOL)
         + 2 * grid.spacing,
-        'around': np.pad(network.AROUND_TOOL, (0, 8 - len(network.AROUND_TOOL))),
-        'heap': network.HEAP,
-        'above': network.ABOVE,
-        'ramp': network.RAMP,
-        'under_along': network.UNDER_ALONG,
-        'under_across': network.UNDER_ACROSS,
-        'force': network.FORCE,
-        'torque': network.TORQUE,
+        'around': np.pad(network.AROUND_TOOL, (0, c['LTS_SOIL_AROUND'] - len(network.AROUND_TOOL))),
         'full_width': network.WIDTH[tool.name],
-        'gain_limit': network.GAIN_LIMIT,
-        'stir': network.STIR,
-        'beside': strips.BESIDE,
-        'beside_ramp': network.BESIDE_RAMP,
-        'below': network.BELOW,
-        'below_ramp': network.BELOW_RAMP,
         'across_ramp': network.ACROSS,
-        'length': network.LENGTH,
-        'neighbour': network.NEIGHBOUR,
         'load_own': fold.dense(*fold.side_by_side(list(zip(w[:, :n_own], b, strict=True)))),
         'load_side': fold.dense(*fold.side_by_side([(x, 0 * b[0]) for x in w[:, n_own:]])),
         'after': _network(layers['load'][1:]),
@@ -127,7 +107,6 @@ def values(field) -> dict:
         'judged_near': soil_field.NEAR,
         'least_soil': tool.least_soil,
         'apart': soil_field.APART,
-        'crossed': passage.CROSSED,
         'bound': field.bounds.get('force', (-1.0,) * 3),
     }
     channels = {n: c[f'LTS_SOIL_{n.upper()}'] for n in (*sweep.CHANNELS, 'beside')}

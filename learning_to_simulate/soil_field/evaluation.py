@@ -358,16 +358,9 @@ def _earthmoving(run):
     whole = samples.episode_of(run)
     frames, passage = whole.frames, whole.passage
     scalars = {n: frames.scalars[:, 0, i].astype(np.float64) for i, n in enumerate(sweep.SCALARS)}
-    tool, scale = run.tool, run.tool.scale
-    friction = run.soil.friction
-    soil = earthmoving.BladeSoil(
-        run.soil.density * run.soil.gravity, float(np.arcsin(min(friction, 0.999))),
-        float(np.arctan(earthmoving.BLADE.friction)), float(np.arctan(friction)), tool.width,
-        tool.length,
-    )  # fmt: skip
-    parts = earthmoving.cutting_force(
-        edge_depth(run, frames), np.pi / 2 - scalars['lean'], scale**2 * scalars['area'], soil
-    )
+    soil, area = earthmoving.BladeSoil.of(run.soil, run.tool), run.tool.scale**2 * scalars['area']
+    depth, rake = edge_depth(run, frames), np.pi / 2 - scalars['lean']
+    parts = earthmoving.cutting_force(depth, rake, area, soil)
     u = passage.place.local(run.pose[:, :3])[:, 0]
     step, forward = np.diff(u, prepend=u[0]), np.zeros(len(u), bool)
     for t in range(1, len(u)):

@@ -128,16 +128,15 @@ def degeneracy(mask: np.ndarray) -> str | None:
     return 'saturated' if off_diagonal.all() else None
 
 
-def select(probabilities, *, threshold=None, keep=None, self_edges=True) -> np.ndarray:
+def select(probabilities, *, threshold=None, keep=None) -> np.ndarray:
     """The edges that a probability matrix gives, bool [V, V].
 
     Args:
-      probabilities: [V, V], entry [receiver, sender]; NaN on the diagonal where the method has no
-        self-edges.
+      probabilities: [V, V], entry [receiver, sender]; NaN where there is no edge, on the diagonal
+        of a method without self-edges.
       threshold: keeps pairs with a probability above it.
       keep: instead, keeps the `keep` most probable edges (self-edges counted; ties go to the lower
         receiver, then sender).
-      self_edges: whether self-edges without a probability are in the list.
 
     Raises:
       ValueError: unless exactly one of threshold and keep is given, or `keep` cannot be met.
@@ -145,17 +144,14 @@ def select(probabilities, *, threshold=None, keep=None, self_edges=True) -> np.n
     if (threshold is None) == (keep is None):
         raise ValueError('give either a threshold or the number of edges to keep')
     probabilities = np.asarray(probabilities, np.float64)
-    unknown = np.isnan(probabilities)
-    always = unknown & np.eye(len(probabilities), dtype=bool) & self_edges
     if keep is None:
-        return np.where(unknown, always, probabilities > threshold)
-    possible = int((~unknown).sum() + always.sum())
-    if not always.sum() <= keep <= possible:
-        raise ValueError(f'keep is {keep}, must lie in [{always.sum()}, {possible}]')
-    mask = always.reshape(-1).copy()
-    score = np.where(unknown, -np.inf, probabilities).reshape(-1)
-    mask[np.argsort(-score, kind='stable')[: keep - int(always.sum())]] = True
-    return mask.reshape(always.shape)
+        return probabilities > threshold  # false for NaN as well
+    possible = int((~np.isnan(probabilities)).sum())
+    if not 0 <= keep <= possible:
+        raise ValueError(f'keep is {keep}, must lie in [0, {possible}]')
+    mask = np.zeros(probabilities.size, bool)
+    mask[np.argsort(-probabilities, axis=None, kind='stable')[:keep]] = True  # NaN comes last
+    return mask.reshape(probabilities.shape)
 
 
 def write(path: str, edges: EdgeList) -> None:

@@ -1,6 +1,6 @@
 """The inputs of a node: one table, read by the graph network and the whole-state networks.
 
-A feature has a name, the nodes that have it, a width and its values; which features a model has,
+A feature has a name, the nodes that have it and its values; which features a model has,
 and in which order they meet the rows of the first layer, is decided here and nowhere else. A new
 input is an entry of `TABLE` and, where it is to be exported, a few lines of `lts_features.c`.
 """
@@ -11,14 +11,10 @@ from typing import NamedTuple
 import tensorflow as tf
 
 from learning_to_simulate.axes import height_of
-from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH
 from learning_to_simulate.scene import RigidMotion
-from learning_to_simulate.subspace import path_memory
 
 EMBEDDING_SIZE = 16  # Sanchez-Gonzalez et al. 2020
 START_MODES = 8  # of the bed at the start of a run: more would be learned by heart
-# AutoGraph cannot read the source of a lambda, and there is nothing here to convert.
-plain = tf.autograph.experimental.do_not_convert
 # Who has a feature: every node, the rigid particles (a value each, or one for all), or the scene.
 NODES, RIGID, SCENE = 'nodes', 'rigid', 'scene'
 
@@ -27,7 +23,6 @@ class Feature(NamedTuple):
     name: str  # of its rows in the first layer
     at: str  # `NODES`, `RIGID` or `SCENE`
     is_present: Callable  # called with the simulator
-    width: Callable  # values per node, called with the simulator
     values: Callable  # [B or 1, n, width], called with a `View`
 
 
@@ -95,58 +90,41 @@ def _has_positions(simulator):
 
 
 TABLE = (
+    Feature('velocity', NODES, _has_state, _velocity),
     Feature(
-        'velocity', NODES, _has_state, lambda s: s.config.velocity_inputs * s.dim, _velocity
-    ),
-    Feature(
-        'offset', NODES, _has_positions, lambda s: s.dim,
+        'offset', NODES, _has_positions,
         lambda view: view.state.offset / view.layout.position_std,
     ),
     Feature(
         'acceleration', NODES,
-        lambda s: _has_positions(s) and s.config.velocity_inputs > 1,
-        lambda s: (s.config.velocity_inputs - 1) * s.dim, _acceleration,
+        lambda s: _has_positions(s) and s.config.velocity_inputs > 1, _acceleration,
     ),
-    Feature('rate', SCENE, lambda s: s.rate_scaled, lambda s: 2, _rate),
-    Feature('coming', RIGID, lambda s: s.knows_next_frame, lambda s: s.dim, _coming),
+    Feature('rate', SCENE, lambda s: s.rate_scaled, _rate),
+    Feature('coming', RIGID, lambda s: s.knows_next_frame, _coming),
     Feature(
         'height', RIGID,
-        lambda s: s.scene.rigid_motion == RigidMotion.DRIVEN and not s.config.is_published,
-        lambda s: INPUT_SEQUENCE_LENGTH, _height,
+        lambda s: s.scene.rigid_motion == RigidMotion.DRIVEN and not s.config.is_published, _height,
     ),
     Feature(
-        'path', SCENE, lambda s: s.config.reads_path, lambda s: path_memory.WIDTH,
-        lambda view: view.known.path[:, None],
+        'path', SCENE, lambda s: s.config.reads_path, lambda view: view.known.path[:, None],
     ),
+    Feature('start', SCENE, lambda s: s.config.reads_path, _start),
     Feature(
-        'start', SCENE, lambda s: s.config.reads_path,
-        lambda s: s.dim * min(START_MODES, s.scene.n_modes), _start,
-    ),
-    Feature(
-        'embedding', NODES, lambda s: True, lambda s: EMBEDDING_SIZE,
+        'embedding', NODES, lambda s: True,
         lambda view: view.simulator.node_embedding(view.layout)[None],
     ),
     Feature(
         'context', SCENE, lambda s: bool(s.scene.context_names),
-        lambda s: len(s.scene.context_names) * (1 if s.statistics.log_context_mean is None else 2),
         lambda view: view.simulator.context_features(view.context)[:, None],
     ),
 )  # fmt: skip
 
 
-@plain
 def of(simulator) -> tuple[Feature, ...]:
     """The features of a model, in the order of the rows of its first layer."""
     return tuple(feature for feature in TABLE if feature.is_present(simulator))
 
 
-@plain
-def values_of(feature: Feature, view: View):
-    """Values of a feature, [B or 1, n, width]."""
-    return feature.values(view)
-
-
-@plain
 def at_every_node(feature: Feature, view: View):
     """Values of a feature [B, V, width]; what the rigid particles alone have is zero at the
     modes."""

@@ -115,7 +115,7 @@ class LearnedSimulator(snt.Module):
 
     def _make_network(self):
         config, scene = self.config, self.scene
-        self._network = graph_network.EncodeProcessDecode(
+        self.network = graph_network.EncodeProcessDecode(
             config.latent_size,
             config.hidden_layers,
             config.message_passing_steps,
@@ -129,10 +129,6 @@ class LearnedSimulator(snt.Module):
 
     def check_size(self, n_rigid: int):
         """Refuses bodies of R particles that the network cannot take; a graph takes any number."""
-
-    @property
-    def network(self) -> graph_network.EncodeProcessDecode:
-        return self._network
 
     @property
     def knows_next_frame(self) -> bool:
@@ -189,7 +185,7 @@ class LearnedSimulator(snt.Module):
     def _decoded(self, state, known, context, layout):
         """The network's target [B, V, D] and force [B, F] or None."""
         nodes, edges = self.features(state, known, context, layout)
-        decoded = self._network(nodes, edges, layout.senders, layout.receivers, layout.edge_gates)
+        decoded = self.network(nodes, edges, layout.senders, layout.receivers, layout.edge_gates)
         force = tf.reduce_mean(decoded[..., self.dim :], axis=1) if self.scene.has_force else None
         return decoded[..., : self.dim], force
 

@@ -10,6 +10,7 @@ import numpy as np
 import tensorflow as tf
 
 from learning_to_simulate import bed, checkpoints, evaluation, normalization, reading_utils
+from learning_to_simulate.axes import Axes
 from learning_to_simulate.live import starts
 from learning_to_simulate.registry import OpenedModel
 from learning_to_simulate.scene import RigidMotion
@@ -33,8 +34,7 @@ def make_model(data_path, metadata, groups, config, rigid_motion=None) -> Model:
     statistics = normalization.compute_statistics(groups, metadata, scene, config)
     further = {}
     if config.reads_path:
-        memory = _path_memory(data_path, metadata, groups, scene)
-        further['path'] = memory.to_statistics()
+        further['path'] = _path_memory(data_path, metadata, groups, scene).to_statistics()
     space_path = os.path.join(data_path, checkpoints.SUBSPACE_FILE)
     if not config.is_published and os.path.exists(space_path):
         space = Subspace.load(space_path).truncated(scene.n_modes)
@@ -46,7 +46,7 @@ def make_model(data_path, metadata, groups, config, rigid_motion=None) -> Model:
     types = groups[0].particle_type
     make = SIMULATORS[config.model]
     simulator = make(scene, config, statistics, (int(types[0]), int(types[-1])))
-    model = Model(simulator, edges.mode_mask, edges.loaded_mask, edges.source)
+    model = Model(simulator, *edges)
     for group in groups:
         model.layout(group.n_rigid)
     tf.random.set_seed(config.seed)
@@ -61,7 +61,7 @@ def _path_memory(data_path, metadata, groups, scene):
             f'it is {scene.rigid_motion}, bodies {len(scene.bodies) or 1}'
         )
     bodies = [g.position[:, :, : g.n_rigid] for g in groups]
-    axes = PathMemory.of_runs(bodies, scene).axes
+    axes = Axes.of_bodies(bodies, scene.up_axis)
     surface = bed.height_of_dataset(data_path, metadata, axes)
     return PathMemory.of_runs(bodies, scene, surface)
 

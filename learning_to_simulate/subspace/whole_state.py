@@ -31,7 +31,7 @@ class WholeStateSimulator(LearnedSimulator):
 
     def __init__(self, make_network, *others, name='whole_state_simulator'):
         self._make = make_network
-        self._n_rigid = self._network = None
+        self._n_rigid = self.network = None
         super().__init__(*others, name=name)
 
     def _make_network(self):
@@ -39,10 +39,10 @@ class WholeStateSimulator(LearnedSimulator):
 
     def check_size(self, n_rigid: int):
         """Fixes the network's size at the first call; ValueError for another R later on."""
-        if self._network is None:
+        if self.network is None:
             self._n_rigid = n_rigid
             rows = self._rigid_rows() + self.scene.n_modes
-            self._network = self._make(self.config, rows * self.dim + self.force_size)
+            self.network = self._make(self.config, rows * self.dim + self.force_size)
         if n_rigid != self._n_rigid:
             raise ValueError(
                 f'model {self.config.model!r} was made for {self._n_rigid} rigid particles and '
@@ -59,9 +59,7 @@ class WholeStateSimulator(LearnedSimulator):
     def _decoded(self, state, known, context, layout):
         n_graph = state.offset.shape[0]
         view = features.View(self, state, known, context, layout)
-        found = {
-            f.name: features.values_of(f, view) for f in features.of(self) if f.name != 'embedding'
-        }
+        found = {f.name: f.values(view) for f in features.of(self) if f.name != 'embedding'}
         # [B, V, K D] of velocities -> [B, K, V D], a frame behind the other.
         count = 0 if self.config.reads_path else self.config.velocity_inputs
         velocities = found.pop('velocity', tf.zeros([n_graph, layout.n_node, 0]))
@@ -73,7 +71,7 @@ class WholeStateSimulator(LearnedSimulator):
         for values in found.values():
             flat = tf.reshape(values, [values.shape[0], -1])
             others.append(tf.broadcast_to(flat, [n_graph, flat.shape[1]]))
-        decoded = self._network(history, tf.concat(others, axis=-1))
+        decoded = self.network(history, tf.concat(others, axis=-1))
         body, n = self._rigid_rows(), layout.n_rigid
         size = (body + self.scene.n_modes) * self.dim
         rows = tf.reshape(decoded[:, :size], [n_graph, -1, self.dim])

@@ -55,7 +55,7 @@ def masks_of(velocities, keep: int, seed: int, nri_rows=None) -> dict:
     np.fill_diagonal(score, np.nan)
 
     def kept(scores):
-        return edge_lists.select(scores, keep=keep, self_edges=False)
+        return edge_lists.select(scores, keep=keep)
 
     found = {
         'none': (nobody, None, 'fixed'),

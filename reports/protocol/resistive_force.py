@@ -112,7 +112,7 @@ def loads(run) -> tuple[np.ndarray, np.ndarray]:
     moves = (size > 1e-7).any(axis=(1, 2))
     last = np.maximum.accumulate(np.where(moves, np.arange(len(step)), 0))
     motion = (step / np.maximum(size, 1e-12))[last]
-    friction = earthmoving.BLADE.friction if tool.name == 'blade' else (
+    friction = earthmoving.BLADE_FRICTION if tool.name == 'blade' else (
         wheel_terramechanics.RIM_FRICTION
     )  # fmt: skip
     surface = path[:, 1] - tool.radius + evaluation.edge_depth(run, whole.frames)

@@ -1,4 +1,4 @@
-"""The graph network on degenerate graphs and features. The table is in README.md."""
+"""The graph network on degenerate graphs and features."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ import tensorflow as tf
 from learning_to_simulate import presets, reading_utils
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.connectivity_utils import Adjacency
-from learning_to_simulate.rollout import RolloutFunction, roll_out, rollout_inputs
+from learning_to_simulate.rollout import RolloutFunction, roll_out
 from learning_to_simulate.subspace import graph_network, learned_simulator, method
 from learning_to_simulate.subspace.trainer import Trainer
 from pca_tools import dataset
@@ -63,25 +63,6 @@ def test_gradient_at_coincident_nodes_is_finite(tmp_path):
     gradients = tape.gradient(loss, [offset, *model.simulator.trainable_variables])
     assert all(g is None or np.isfinite(tf.convert_to_tensor(g)).all() for g in gradients)
     assert gradients[0] is not None
-
-
-def test_published_inputs_know_no_place(tmp_path):
-    """Velocities and displacements only: the same shift of all nodes changes nothing.
-
-    Not so in models of our style: a mode's score is an input, and a shift of the scene in space is
-    not a shift of scores, so translation is no symmetry of the subspace.
-    """
-    model, (group,), _ = models.make(tmp_path, preset='fcg_original', motion='predicted')
-    layout = model.layout(4)
-    state, known, context, _ = rollout_inputs(group, layout, model.simulator.scene)
-    step = model.simulator.step
-    after, force = step(state, known, context, layout)
-    there = learned_simulator.SimulatorState(state.offset + 0.25, state.velocity)
-    moved, same_force = step(there, known, context, layout)
-    scale = np.abs(after.velocity[:, :, -1]).max()
-    # Measured 3e-8: the shift rounds.
-    np.testing.assert_allclose(moved.velocity, after.velocity, atol=1e-6 * scale)
-    np.testing.assert_allclose(same_force, force, rtol=1e-6)
 
 
 def test_noise_arrives_as_it_was_drawn():

@@ -1,4 +1,4 @@
-"""The subspace on ill-conditioned data. The table is in README.md."""
+"""The subspace on ill-conditioned data."""
 
 import warnings
 

@@ -56,4 +56,4 @@ def test_a_wide_smooth_upright_wall_bears_rankines_passive_pressure():
 
 
 def test_the_blade_is_that_of_the_solver():
-    assert earthmoving.BLADE.height == bodies.BLADE_HEIGHT
+    assert earthmoving.BLADE_FRICTION == bodies.BLADE_FRICTION

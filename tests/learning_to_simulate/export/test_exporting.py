@@ -10,7 +10,7 @@ import pytest
 
 from learning_to_simulate import registry, rollout
 from learning_to_simulate.export import __main__ as command_of_export
-from learning_to_simulate.export import exporting
+from learning_to_simulate.export import exporting, step_functions
 from pca_tools import subspace
 from tests.learning_to_simulate import models, synthetic
 
@@ -85,16 +85,15 @@ def test_predicted_body_is_kept_rigid_in_a_saved_model_and_refused_elsewhere(tmp
 
 @pytest.mark.parametrize('kind, motion', [('tflite', 'driven'), ('onnx', 'prescribed')])
 def test_litert_and_onnx_say_the_same(tmp_path, kind, motion):
-    if kind == 'onnx':
-        pytest.importorskip('tf2onnx', reason='extra deploy')
-        pytest.importorskip('onnxruntime', reason='extra deploy')
+    for package in ['ai_edge_litert'] if kind == 'tflite' else ['tf2onnx', 'onnxruntime']:
+        pytest.importorskip(package, reason='extra deploy')
     model_path, data = models.saved(tmp_path, motion=motion)
     out = tmp_path / 'exported'
     description = exporting.export(model_path, data, str(out), kind)
     assert {f'step.{kind}', f'reconstruct.{kind}', 'sample.npz'} < {p.name for p in out.iterdir()}
     compared = description['compared']
     assert set(compared['relative_difference']) == {'modes', 'rigid', 'force'}
-    assert max(compared['relative_difference'].values()) <= exporting.TOLERANCE
+    assert max(compared['relative_difference'].values()) <= step_functions.TOLERANCE
     assert compared['calls'] == 8 and 0 < compared['particles_difference_m'] <= 2e-6
     assert len(description['origin']) == 4 + synthetic.N_MODES
 
@@ -102,12 +101,13 @@ def test_litert_and_onnx_say_the_same(tmp_path, kind, motion):
 def test_bad_input_leaves_nothing_behind(tmp_path, monkeypatch):
     model_path, data = models.saved(tmp_path)
     out = tmp_path / 'exported'
-    monkeypatch.setitem(sys.modules, 'tf2onnx', None)
-    with pytest.raises(ValueError, match='comes with the extra'):
-        exporting.export(model_path, data, str(out), 'onnx')
-    monkeypatch.setattr(exporting, 'TOLERANCE', 0.0)
+    for kind, package in (('onnx', 'tf2onnx'), ('tflite', 'ai_edge_litert.interpreter')):
+        monkeypatch.setitem(sys.modules, package, None)
+        with pytest.raises(ValueError, match='comes with the extra'):
+            exporting.export(model_path, data, str(out), kind)
+    monkeypatch.setattr(step_functions, 'TOLERANCE', 0.0)
     with pytest.raises(ValueError, match='differs from its source.*nothing was written'):
-        exporting.export(model_path, data, str(out), 'tflite')
+        exporting.export(model_path, data, str(out), 'savedmodel')
     assert not [p for p in tmp_path.iterdir() if 'exported' in p.name]
     out.mkdir()
     (out / 'mine').write_text('keep')

@@ -63,7 +63,5 @@ def test_random_calls_and_hostile_values_under_sanitizers(case, objects, tmp_pat
 
 @pytest.mark.parametrize('tool', ['blade', 'wheel'])
 def test_random_calls_of_a_soil_field_under_sanitizers(tool, objects, tmp_path):
-    values = soil_data.values(
-        worlds.soil_field(tool, {'load': (6, 5), 'surface': (6,), 'soil': (5,)})
-    )
+    values = soil_data.values(worlds.soil_field(tool, worlds.TINY))
     _fuzz(tmp_path / 'project', values, objects, 'fuzz_soil.c', CALLS // 5)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import learning_to_simulate as lts
-from learning_to_simulate.native import fmu, fmu_variables, library, soil_data
+from learning_to_simulate.native import fmu, library, soil_data
 from learning_to_simulate.native.binding import CSubspace
 from learning_to_simulate.soil_field.stepper import SoilStepper
 from learning_to_simulate.soil_field.terrain import Terrain
@@ -134,31 +134,44 @@ def test_equals_the_stepper_for_every_step_of_the_master(shared, tmp_path):
         np.testing.assert_allclose(forces, expected[every - 1 :: every], rtol=1e-4, atol=1e-3)
 
 
-def test_rollback_serialised_states_and_two_instances_are_bit_exact(shared, tmp_path):
-    path = shared[0]
-    slow, fast = ([v, 0, 0] for v in (-0.02, -0.06))
-    one, other = (_Slave(path, tmp_path / n, n, lin_vel=fast) for n in ('a', 'b'))
-    place = one.get('point')
+def assert_states_go_on(one, other, steps, elsewhere, h, further=()):
+    """After half of the steps (inputs of `_Slave.set`) of the one, the others give the same bits:
+    again, and from the bytes of the state in another instance that was elsewhere. Returns the
+    bytes."""
 
-    def go(slave, time, n, lin_vel, h=0.011):
-        """Forces of n steps from a time on."""
-        slave.time, forces = time, []
-        for _ in range(n):
-            slave.set(pos=place + slave.time * np.array(lin_vel), lin_vel=lin_vel)
+    def go(slave, some):
+        found = []
+        for inputs in some:
+            slave.set(**inputs)
             slave.step(h)
-            forces.append(slave.get('force'))
-        return np.array(forces)
+            found.append([*slave.get('force'), *slave.reals(*further)])
+        return found
 
-    go(one, 0.0, 5, fast)
+    half = len(steps) // 2
+    go(one, steps[:half])
     state, time = one.c.getFMUstate(), one.time
     saved = one.c.serializeFMUstate(state)
-    first = go(one, time, 7, fast)
-    go(other, 0.0, 5, slow)  # Another instance in between changes nothing.
+    first = go(one, steps[half:])
+    go(other, elsewhere)
     theirs = other.c.deSerializeFMUstate(saved)
     for slave, at in ((one, state), (other, theirs)):
         slave.c.setFMUstate(at)
-        np.testing.assert_array_equal(go(slave, time, 7, fast), first)
+        slave.time = time
+        np.testing.assert_array_equal(go(slave, steps[half:]), first)
         slave.c.freeFMUstate(at)
+    return saved
+
+
+def test_rollback_serialised_states_and_two_instances_are_bit_exact(shared, tmp_path):
+    h, slow, fast = 0.011, np.array([-0.02, 0, 0]), np.array([-0.06, 0, 0])
+    one, other = (_Slave(shared[0], tmp_path / n, n, lin_vel=fast) for n in ('a', 'b'))
+    place = one.get('point')
+    ways = [
+        [{'pos': place + k * h * v, 'lin_vel': v} for k in range(count)]
+        for v, count in ((fast, 12), (slow, 5))
+    ]
+    assert_states_go_on(one, other, *ways, h)
+    for slave in (one, other):
         slave.free()
 
 
@@ -211,7 +224,6 @@ def test_sources_alone_build_the_binary(shared, tmp_path):
 # ---- soil fields ----
 
 KINDS = {'blade': Blade(0.3, 0.02, 0.2, 1.0), 'wheel': Wheel(0.1, 0.08, 12, 0.008)}
-SMALL = {'load': (20, 24), 'surface': (24, 20), 'soil': (24, 16, 20)}
 SOIL = Soil(33.0, 1600.0, 3.7)
 H = 1 / 64  # a sum of them is exact
 
@@ -221,7 +233,7 @@ def soils(tmp_path_factory):
     """Kind of a tool, and number of them -> path of an FMU and its field."""
     found, folder = {}, tmp_path_factory.mktemp('soils')
     for kind, tools in (('blade', 1), ('wheel', 1), ('blade', 2)):
-        field, path = worlds.soil_field(kind, SMALL), str(folder / f'{kind}_{tools}.fmu')
+        field, path = worlds.soil_field(kind), str(folder / f'{kind}_{tools}.fmu')
         fmu.write(path, f'lts_{kind}', soil_data.values(field), tools)
         found[kind, tools] = path, field
     return found
@@ -249,12 +261,17 @@ WAYS = [(20, [-0.3, -0.15, 0.0], 0.5), (40, [-0.4, 0.0, 0.0], -0.6), (6, [-0.3, 
 
 
 def _go(start):
-    """Poses [7] and twists [6] of `WAYS`, each twist from its pose on."""
-    pose, angle = np.array(start, float), 0.0
+    """Inputs of `_Slave.set` along `WAYS`, each twist from its pose on."""
+    place, angle = np.array(start, float), 0.0
     for count, velocity, turn in WAYS:
         for _ in range(count):
-            yield np.append(pose, [np.cos(angle / 2), 0, 0, np.sin(angle / 2)]), velocity, turn
-            pose, angle = pose + H * np.array(velocity), angle + H * turn
+            rot = [np.cos(angle / 2), 0, 0, np.sin(angle / 2)]
+            yield {'pos': place, 'rot': rot, 'lin_vel': velocity, 'ang_vel': [0, 0, turn]}
+            place, angle = place + H * np.array(velocity), angle + H * turn
+
+
+def _pose_of(inputs):
+    return np.append(inputs['pos'], inputs['rot'])
 
 
 @pytest.mark.parametrize('kind', KINDS)
@@ -270,10 +287,10 @@ def test_a_soil_field_is_valid_and_equals_the_stepper(soils, kind, tmp_path):
     load = f'{slave.body}_load'
     spreads = [f'{load}.{part}_spread.{way}' for part in ('force', 'moment')
                for way in ('along', 'up', 'across')]  # fmt: skip
-    for (pose, velocity, turn), (coming, *_) in zip(steps, steps[1:]):
-        slave.set(pos=pose[:3], rot=pose[3:], lin_vel=velocity, ang_vel=[0, 0, turn])
+    for inputs, coming in zip(steps, steps[1:]):
+        slave.set(**inputs)
         slave.step(H)
-        frame = live.step(coming, H)
+        frame = live.step(_pose_of(coming), H)
         sunk = 0.1 - (frame.pose[1] - scale)
         rest = slave.reals(*spreads, 'sinkage', 'drawbar_pull', 'force_bound')
         found.append([*slave.get('force'), *slave.get('moment'), *rest])
@@ -323,17 +340,16 @@ def test_two_tools_on_one_terrain_equal_two_steppers(soils, tmp_path):
     found, expected = [], []
     for t in range(len(ways[0]) - 1):
         for name, way in zip(names, ways):
-            pose, velocity, turn = way[t]
-            slave.set(name, pos=pose[:3], rot=pose[3:], lin_vel=velocity, ang_vel=[0, 0, turn])
+            slave.set(name, **way[t])
         if t == 30:  # what is refused of the second tool leaves the first where it was
             slave.set('[2]', pos=[9.0, 9.0, 9.0])
             with pytest.raises(FMICallException):
                 slave.c.doStep(slave.time, H)
             assert slave.logged[-1] == ('logStatusError', slave.logged[-1][1])
             assert slave.logged[-1][1].startswith('tool 2: ')
-            slave.set('[2]', pos=ways[1][t][0][:3])
+            slave.set('[2]', pos=ways[1][t]['pos'])
         slave.step(H)
-        frames = [live.step(way[t + 1][0], H) for live, way in zip(lives, ways)]
+        frames = [live.step(_pose_of(way[t + 1]), H) for live, way in zip(lives, ways)]
         found.append(np.concatenate([slave.get('force', name) for name in names]))
         expected.append(np.concatenate([frame.force for frame in frames]))
     assert (np.abs(expected).max(axis=0)[[0, 1, 3, 4]] > 0.1).all()
@@ -356,11 +372,11 @@ def test_directional_derivatives_are_differences_of_steps_and_leave_the_state(so
     inputs = [n for n in slave.vr if n.startswith('tool_state')]
     loads = [f'tool_load.{part}.{a}' for part in ('force', 'moment') for a in 'xyz']
     known, unknown = ([slave.vr[n] for n in names] for names in (inputs, loads))
-    for pose, velocity, turn in list(_go(start))[:45]:
-        slave.set(pos=pose[:3], rot=pose[3:], lin_vel=velocity, ang_vel=[0, 0, turn])
+    *steps, last = list(_go(start))[:46]
+    for given in steps:
+        slave.set(**given)
         slave.step(H)
-    pose, velocity, turn = list(_go(start))[45]
-    at = np.array([*pose, *velocity, 0, 0, turn])
+    at = np.concatenate(list(last.values()))
     state = slave.c.getFMUstate()
 
     def after(values):
@@ -399,27 +415,8 @@ def test_states_of_a_soil_field_go_to_other_instances_and_on_to_the_same_bits(so
     start = [2.2, 0.14, 1.0]
     one = _Slave(path, tmp_path / 'a', pos=start, **_parameters('blade'))
     other = _Slave(path, tmp_path / 'b', 'other', pos=[2.0, 0.3, 1.0])  # another terrain
-    steps = list(_go(start))
-
-    def go(slave, some):
-        forces = []
-        for pose, velocity, turn in some:
-            slave.set(pos=pose[:3], rot=pose[3:], lin_vel=velocity, ang_vel=[0, 0, turn])
-            slave.step(H)
-            forces.append([*slave.get('force'), *slave.reals('ground.height[3,3]')])
-        return np.array(forces)
-
-    go(one, steps[:30])
-    state, time = one.c.getFMUstate(), one.time
-    saved = one.c.serializeFMUstate(state)
-    first = go(one, steps[30:])
-    go(other, [(np.array([2.0, 0.3, 1.0, 1, 0, 0, 0]), [0, 0, 0], 0.0)])
-    theirs = other.c.deSerializeFMUstate(saved)
-    for slave, at in ((one, state), (other, theirs)):
-        slave.c.setFMUstate(at)
-        slave.time = time
-        np.testing.assert_array_equal(go(slave, steps[30:]), first)
-        slave.c.freeFMUstate(at)
+    resting = {'pos': [2.0, 0.3, 1.0], 'rot': [1, 0, 0, 0], 'lin_vel': [0, 0, 0]}
+    saved = assert_states_go_on(one, other, list(_go(start)), [resting], H, ['ground.height[3,3]'])
     half = other.c.deSerializeFMUstate(saved[: len(saved) // 2])
     with pytest.raises(FMICallException):
         other.c.setFMUstate(half)
@@ -457,7 +454,7 @@ def test_what_no_soil_field_can_be_is_refused(soils, tmp_path):
     values = soil_data.values(field)
     for tools in (0, 17):
         with pytest.raises(ValueError, match=f'tools is {tools}'):
-            fmu_variables.of(values, tools)
+            fmu.layout_of(values, tools)
 
 
 def test_a_blade_of_20_kg_comes_to_rest_under_its_weight_by_an_implicit_master(tmp_path):

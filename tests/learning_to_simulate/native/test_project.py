@@ -14,7 +14,8 @@ import pytest
 
 from learning_to_simulate.export import __main__ as export_command
 from learning_to_simulate.export import exporting
-from learning_to_simulate.native import agreement, library, project
+from learning_to_simulate.native import exporting as c_exporting
+from learning_to_simulate.native import library, project
 from learning_to_simulate.native.binding import CSubspace
 from tests.learning_to_simulate import models
 from tests.learning_to_simulate.native import worlds
@@ -120,7 +121,7 @@ def test_the_export_command_compares_and_refuses(saved, tmp_path, monkeypatch, c
             values.output_path = out + '2'
         with pytest.raises(error, match=message):
             export_command.run(types.SimpleNamespace(**vars(values) | change))
-    monkeypatch.setattr(agreement, 'TOLERANCE', 0.0)
+    monkeypatch.setattr(c_exporting, 'TOLERANCE', 0.0)
     with pytest.raises(ValueError, match='differs from the model.*nothing was written'):
         exporting.export(*saved, out + '2', 'c')
     assert not os.path.exists(out + '2')

@@ -19,6 +19,9 @@ from tests.learning_to_simulate.soil_field.scenes import poses
 
 STAND_IN = pathlib.Path(__file__).with_name('ros_stand_in')
 COMPILERS = [x for x in map(shutil.which, ('g++', 'clang++')) if x]
+PATH = [(0.0, 0.03, 0.0), *((0.01 * k, 0.03 - 0.004 * k, 0.0) for k in range(1, 20)), (1.5, 0.3, 0)]
+
+pytestmark = pytest.mark.skipif(not COMPILERS, reason='no C++ compiler')
 
 
 def to_ros(values):
@@ -27,99 +30,9 @@ def to_ros(values):
     return np.stack([values[..., 0], -values[..., 2], values[..., 1]], axis=-1)
 
 
-@pytest.mark.skipif(not COMPILERS, reason='no C++ compiler')
-def test_the_node_sends_what_the_stepper_says(tmp_path):
-    folder = str(tmp_path / 'project')
-    exporting.export('models/excavation/pcg', 'datasets/excavation', folder, 'c')
-    name = project.symbol('models/excavation/pcg')
-    built = str(tmp_path / 'lib.so')
-    library.compile_sources(built, *library.parts_of(folder))
-    program = str(tmp_path / 'node')
-    strict = ['-std=c++17', '-Wall', '-Wextra', '-Werror']
-    subprocess.run(
-        [COMPILERS[0], *strict, f'-I{STAND_IN}', f'-I{folder}/include',
-         os.path.join(folder, 'examples', 'ros2_node.cpp'), built, '-o', program],
-        check=True,
-    )  # fmt: skip
-    assert name in pathlib.Path(folder, 'examples', 'ros2_node.cpp').read_text()
-    model = lts.load('excavation/pcg')
-    live, pose = model.stepper(), model.starts.pose[0]
-    path = [pose + [-8e-4 * k, -8e-4 * k, 0, 0, 0, 0, 0] for k in range(1, 41)]
-    path.append(pose + [0.5, 0, 0, 0, 0, 0, 0])  # a jump: unlike the training runs
-    # The library's poses are of the middle of the nodes; the blade does not turn here.
-    middle = model.starts.body[0][model.starts.kept[0]].mean(axis=0)
-    lines = '\n'.join(
-        ' '.join(f'{x:.17g}' for x in (*to_ros(p[:3] + middle), p[3], *to_ros(p[4:]))) for p in path
-    )
-    printed = subprocess.run(
-        [program], input=lines, capture_output=True, text=True, check=True
-    ).stdout.splitlines()
-    sent = {
-        kind: [line.split()[1:] for line in printed if line.startswith(kind)]
-        for kind in ('wrench', 'cloud', 'map', 'status')
-    }
-    assert [len(x) for x in sent.values()] == [len(path)] * 4
-    live.start()
-    frames = [live.step(p) for p in path]
-    force = to_ros([frame.force for frame in frames])
-    points = to_ros([frame.rigid_pose.mean(axis=0) for frame in frames])
-    wrench = np.array(sent['wrench'], float)
-    largest = np.abs(force).max()
-    np.testing.assert_allclose(wrench[:, :3], force, atol=1e-4 * largest)
-    np.testing.assert_allclose(wrench[:, 3:], np.cross(points, force), atol=1e-3 * largest)
-    for k in (0, 39):
-        soil = to_ros(frames[k].particles())
-        count, size, *last = map(float, sent['cloud'][k])
-        assert (count, size) == (len(soil), 12 * len(soil))
-        np.testing.assert_allclose(last, soil[-1], atol=1e-5)
-        cell, x, y, nx, ny, *heights = map(float, sent['map'][k])
-        nx, ny = int(nx), int(ny)
-        extent = np.array([[x - nx * cell / 2, x + nx * cell / 2],
-                           [y - ny * cell / 2, y + ny * cell / 2]])  # fmt: skip
-        ours = surface(soil, extent, 2, nx, ny)
-        # Cell (0, 0) of grid_map is at the largest x and y.
-        theirs = np.reshape(heights, (ny, nx)).T[::-1, ::-1]
-        same = np.isclose(ours, theirs, atol=1e-5, equal_nan=True)
-        assert same.mean() > 0.99  # a particle on the line between two cells may fall into either
-    assert sent['status'][0] == ['0', 'within', 'the', 'training', 'runs']
-    assert sent['status'][-1][0] in '12'
-
-
-@pytest.mark.skipif(not COMPILERS, reason='no C++ compiler')
-def test_the_node_of_a_soil_field_sends_what_the_stepper_says(tmp_path):
-    field = worlds.soil_field('blade', {'load': (6, 5), 'surface': (6,), 'soil': (5,)})
-    folder = worlds.written(tmp_path / 'project', 'lts_blade', soil_data.values(field))
-    printed = _run(folder, tmp_path, way := poses(PATH))
-    terrain = Terrain.flat((4.0, 2.0), corner=(-2.0, -1.0))
-    live, frames, maps = SoilStepper(field, terrain, engine='c'), [], []
-    live.start(way[0])
-    for pose in way[:-1]:
-        frames.append(live.step(pose, 1 / 60))
-        maps.append(terrain.heights.copy())
-    wrench = np.array([line.split()[1:] for line in printed if line[:3] == 'wre'], float)
-    force, torque = (np.array([getattr(f, name) for f in frames]) for name in ('force', 'torque'))
-    torque += np.cross([frame.pose[:3] for frame in frames], force)
-    largest = np.abs(force).max()
-    assert largest > 1
-    np.testing.assert_allclose(wrench[:, :3], to_ros(force), atol=1e-6 * largest)
-    np.testing.assert_allclose(wrench[:, 3:], to_ros(torque), atol=1e-6 * largest)
-    cell, x, y, nx, ny, *heights = map(
-        float, [s for s in printed if s[:3] == 'map'][-1].split()[1:]
-    )
-    assert (cell, x, y, nx, ny) == (0.02, 0, 0, 200, 100)
-    # Cell (0, 0) of grid_map is at the largest x and y, which is the least z.
-    theirs = np.reshape(heights, (100, 200)).T[::-1]
-    np.testing.assert_allclose(theirs, maps[-1], atol=1e-6)
-    assert np.ptp(theirs) > 1e-4
-    status = [line.split(None, 1)[1] for line in printed if line[:3] == 'sta']
-    assert status[0] == '0 within the training runs' and status[-1].startswith('2 ')
-
-
-PATH = [(0.0, 0.03, 0.0), *((0.01 * k, 0.03 - 0.004 * k, 0.0) for k in range(1, 20)), (1.5, 0.3, 0)]
-
-
-def _run(folder, tmp_path, way):
-    """What the node prints for poses [T, 7], built without a remark."""
+def sent(folder, tmp_path, way):
+    """Kind -> words of each message that the node of a project, built without a remark, sends for
+    poses [T, 7]."""
     built, program = str(tmp_path / 'lib.so'), str(tmp_path / 'node')
     library.compile_sources(built, *library.parts_of(folder))
     strict = ['-std=c++17', '-Wall', '-Wextra', '-Werror']
@@ -131,6 +44,76 @@ def _run(folder, tmp_path, way):
     lines = '\n'.join(
         ' '.join(f'{x:.17g}' for x in (*to_ros(p[:3]), p[3], *to_ros(p[4:]))) for p in way
     )
-    return subprocess.run(
-        [program], input=lines, capture_output=True, text=True, check=True
-    ).stdout.splitlines()
+    done = subprocess.run([program], input=lines, capture_output=True, text=True, check=True)
+    found = {}
+    for kind, *words in map(str.split, done.stdout.splitlines()):
+        found.setdefault(kind, []).append(words)
+    return found
+
+
+def test_the_node_sends_what_the_stepper_says(tmp_path):
+    folder = str(tmp_path / 'project')
+    exporting.export('models/excavation/pcg', 'datasets/excavation', folder, 'c')
+    name = project.symbol('models/excavation/pcg')
+    assert name in pathlib.Path(folder, 'examples', 'ros2_node.cpp').read_text()
+    model = lts.load('excavation/pcg')
+    live, pose = model.stepper(), model.starts.pose[0]
+    path = [pose + [-8e-4 * k, -8e-4 * k, 0, 0, 0, 0, 0] for k in range(1, 41)]
+    path.append(pose + [0.5, 0, 0, 0, 0, 0, 0])  # a jump: unlike the training runs
+    # The library's poses are of the middle of the nodes; the blade does not turn here.
+    middle = model.starts.body[0][model.starts.kept[0]].mean(axis=0)
+    found = sent(folder, tmp_path, np.array(path) + np.append(middle, [0, 0, 0, 0]))
+    assert {kind: len(rows) for kind, rows in found.items()} == dict.fromkeys(
+        ('wrench', 'cloud', 'map', 'status'), len(path)
+    )
+    live.start()
+    frames = [live.step(p) for p in path]
+    force = to_ros([frame.force for frame in frames])
+    points = to_ros([frame.rigid_pose.mean(axis=0) for frame in frames])
+    wrench = np.array(found['wrench'], float)
+    largest = np.abs(force).max()
+    np.testing.assert_allclose(wrench[:, :3], force, atol=1e-4 * largest)
+    np.testing.assert_allclose(wrench[:, 3:], np.cross(points, force), atol=1e-3 * largest)
+    for k in (0, 39):
+        soil = to_ros(frames[k].particles())
+        count, size, *last = map(float, found['cloud'][k])
+        assert (count, size) == (len(soil), 12 * len(soil))
+        np.testing.assert_allclose(last, soil[-1], atol=1e-5)
+        cell, x, y, nx, ny, *heights = map(float, found['map'][k])
+        nx, ny = int(nx), int(ny)
+        extent = np.array([[x - nx * cell / 2, x + nx * cell / 2],
+                           [y - ny * cell / 2, y + ny * cell / 2]])  # fmt: skip
+        ours = surface(soil, extent, 2, nx, ny)
+        # Cell (0, 0) of grid_map is at the largest x and y.
+        theirs = np.reshape(heights, (ny, nx)).T[::-1, ::-1]
+        same = np.isclose(ours, theirs, atol=1e-5, equal_nan=True)
+        assert same.mean() > 0.99  # a particle on the line between two cells may fall into either
+    assert ' '.join(found['status'][0]) == '0 within the training runs'
+    assert found['status'][-1][0] in '12'
+
+
+def test_the_node_of_a_soil_field_sends_what_the_stepper_says(tmp_path):
+    field = worlds.soil_field('blade', worlds.TINY)
+    folder = worlds.written(tmp_path / 'project', 'lts_blade', soil_data.values(field))
+    found = sent(folder, tmp_path, way := poses(PATH))
+    terrain = Terrain.flat((4.0, 2.0), corner=(-2.0, -1.0))
+    live, frames, maps = SoilStepper(field, terrain, engine='c'), [], []
+    live.start(way[0])
+    for pose in way[:-1]:
+        frames.append(live.step(pose, 1 / 60))
+        maps.append(terrain.heights.copy())
+    wrench = np.array(found['wrench'], float)
+    force, torque = (np.array([getattr(f, name) for f in frames]) for name in ('force', 'torque'))
+    torque += np.cross([frame.pose[:3] for frame in frames], force)
+    largest = np.abs(force).max()
+    assert largest > 1
+    np.testing.assert_allclose(wrench[:, :3], to_ros(force), atol=1e-6 * largest)
+    np.testing.assert_allclose(wrench[:, 3:], to_ros(torque), atol=1e-6 * largest)
+    cell, x, y, nx, ny, *heights = map(float, found['map'][-1])
+    assert (cell, x, y, nx, ny) == (0.02, 0, 0, 200, 100)
+    # Cell (0, 0) of grid_map is at the largest x and y, which is the least z.
+    theirs = np.reshape(heights, (100, 200)).T[::-1]
+    np.testing.assert_allclose(theirs, maps[-1], atol=1e-6)
+    assert np.ptp(theirs) > 1e-4
+    assert ' '.join(found['status'][0]) == '0 within the training runs'
+    assert found['status'][-1][0] == '2'

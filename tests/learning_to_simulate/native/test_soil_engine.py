@@ -13,7 +13,6 @@ from learning_to_simulate.native import library, soil_data, soil_engine
 from learning_to_simulate.native.binding import KERNELS
 from learning_to_simulate.soil_field import sweep
 from learning_to_simulate.soil_field.field import CONDITIONS
-from learning_to_simulate.soil_field.loaded import LoadedTool
 from learning_to_simulate.soil_field.stepper import SoilStepper
 from learning_to_simulate.soil_field.terrain import Terrain
 from learning_to_simulate.soil_field.tools import Blade, Soil, Wheel
@@ -21,7 +20,6 @@ from tests.learning_to_simulate.native import worlds
 from tests.learning_to_simulate.soil_field.scenes import hills, poses
 
 pytestmark = worlds.needs_c
-SMALL = {'load': (20, 24), 'surface': (24, 20), 'soil': (24, 16, 20)}
 BLADE = Blade(0.3, bucket=1.0)
 WHEEL = Wheel(0.1, 0.08, 12, 0.008)
 TOOLS = {'blade': BLADE, 'wheel': WHEEL}
@@ -31,7 +29,7 @@ DT = 0.1
 @functools.cache
 def field(name='blade'):
     """See `worlds.soil_field`; not to be changed."""
-    return worlds.soil_field(name, SMALL)
+    return worlds.soil_field(name)
 
 
 def ranged(name='blade', **ranges):
@@ -77,6 +75,13 @@ def assert_ground(c, tf):
     assert np.ptp(tf.terrain.heights) > 1e-3
 
 
+def step(pair, pose, dt=DT):
+    """The next frame of both, held against each other."""
+    frames = [one.step(pose, dt) for one in pair]
+    assert_frame(*frames)
+    return frames
+
+
 def drive(pair, way, dt=DT, **more):
     """Both along a way, frame by frame; their last frames."""
     c, tf = pair
@@ -86,8 +91,7 @@ def drive(pair, way, dt=DT, **more):
         way = way[1:]
     felt = 0
     for pose in way:
-        frames = c.step(pose, dt), tf.step(pose, dt)
-        assert_frame(*frames)
+        frames = step(pair, pose, dt)
         felt += bool(frames[1].force.any())
     assert felt
     return frames
@@ -152,8 +156,7 @@ def test_a_long_way_there_and_back(tool, ground):
     # Lifted, turned, set down beside the cut, and on to uneven ground.
     air = poses([[0.1, 0.9, 0.1]], yaw=yaw)[0]
     for pose in (air, poses([[0.15, 0.95, 0.1]], yaw=yaw + 0.5, shift=(0.0, 0.0, 0.2))[0]):
-        frames = [one.step(pose, dt=0.4) for one in pair]
-        assert_frame(*frames)
+        frames = step(pair, pose, 0.4)
         assert not frames[0].force.any()
     assert pair[0].place.along == pytest.approx(pair[1].place.along, abs=1e-12)
     beside = path(50, 0.6) + [0.1, tool.radius, 0.0]
@@ -355,17 +358,6 @@ def test_bytes_of_an_instance_go_on_to_the_same_bits():
         np.testing.assert_array_equal(other.terrain.seen, c.terrain.heights)
 
 
-def test_under_a_load():
-    ends = []
-    for tool in both(flat()):
-        tool.start(poses([[0.0, 0.02, 0.1]])[0])
-        body = LoadedTool(tool, 30.0, stiffness=(0.0, 4e4, 0.0), damping=(0.0, 900.0, 0.0))
-        for u in np.linspace(0.0, 0.15, 16):
-            frame = body.step(poses([[u, 0.0, 0.1]])[0], dt=0.01)
-        ends.append(np.append(frame.pose, body.velocity))
-    np.testing.assert_allclose(*ends, atol=1e-5)
-
-
 def test_a_tool_faster_than_any_taught_feels_what_the_fastest_did():
     way, forces = path(15, 0.2), []
     for most in (0.02, 9.0):
@@ -383,16 +375,14 @@ def test_a_tool_that_is_clear_of_its_heap_is_in_the_air(tool, ground):
     for height in np.linspace(last.pose[1], 0.02 + 1.6 * tool.radius + 0.13, 25):
         pose = np.array(last.pose)
         pose[1] = height
-        frames = [one.step(pose, DT) for one in pair]
-        assert_frame(*frames)
+        frames = step(pair, pose)
         ends.append(np.linalg.norm(frames[0].force))
         passage = pair[1]._engine._passage
         if not ends[-1]:  # as far as it knows what was cut, a heap might reach it
             kappa += pair[1].field.networks.load_inputs(*passage.frame)[2].numpy().max()
     assert ends[0] > 0 == ends[-1] and kappa > 0
     pose[2] += 0.05
-    frames = [one.step(pose, DT) for one in pair]
-    assert_frame(*frames)
+    frames = step(pair, pose)
     assert frames[0].now.status == 'ok' and pair[1]._engine._passage is not passage
 
 
@@ -406,13 +396,13 @@ def test_a_lifted_tool_leaves_its_cut_and_begins_anew(tool, ground):
     u, y, lean = path(30, 0.4)[-1]
     for height in np.linspace(y, high, 12):
         pose = poses([[u, height, lean]])[0]
-        assert_frame(*(one.step(pose, DT) for one in pair))
+        step(pair, pose)
         assert_ground(*pair)
     heights, passage = pair[0].terrain.heights.copy(), pair[1]._engine._passage
     assert passage.is_lifted and not passage.is_over and passage.state.way.max() < 0.5
     for x in (0.6, 0.7, 0.5):
         pose = poses([[x, high, lean]])[0]
-        assert_frame(*(one.step(pose, DT) for one in pair))
+        step(pair, pose)
     np.testing.assert_array_equal(pair[0].terrain.heights, heights)
     drive(pair, np.append([[0.5, 0.2, 0.2]], path(30, -0.4, start=0.5), axis=0))
     assert_ground(*pair)
@@ -447,12 +437,10 @@ def test_flags_word_for_word():
             pose[2] += 0.03
         else:
             pose[3:] = turned(pose[3:], turn)
-        frames = [one.step(pose, dt=0.1) for one in pair]
-        assert_frame(*frames)
+        frames = step(pair, pose)
         assert frames[0].reason.startswith(f'{name} ')
         # The worst stays, the newest is well again.
-        frames = [one.step(frame.pose, dt=0.1) for one in pair]
-        assert_frame(*frames)
+        frames = step(pair, frame.pose)
         assert frames[0].now.status == 'ok' and frames[0].status == 'extrapolating'
 
 
@@ -487,14 +475,13 @@ def test_another_tool_close_by_is_flagged():
     for aside, status in ((0.36, 'ok'), (0.34, 'extrapolating')):  # half of both, and 0.1 m
         for other in others:
             other.start(poses([[0.2, 0.4, 0.1]], shift=(0.0, 0.0, aside))[0])
-        frames = [one.step(frame.pose, DT) for one in pair]
-        assert_frame(*frames)
+        frames = step(pair, frame.pose)
         assert frames[0].now.status == status
     assert frames[0].reason.startswith('other_tool 0.01 is outside')
 
 
 def test_what_is_not_finite_is_said():
-    made = worlds.soil_field('blade', SMALL, members=2)
+    made = worlds.soil_field('blade', members=2)
     made.networks.load.layers[-1][1].assign(np.full((2, 1, 5), np.nan))
     c, tf = both(flat(), made=made)
     for one in (c, tf):
@@ -502,11 +489,20 @@ def test_what_is_not_finite_is_said():
     assert c.frame.judgement == tf.frame.judgement and c.frame.status == 'non_finite'
 
 
+def refused(pair, call):
+    """Both refuse a call with a stepper, in the same words, which are returned."""
+    texts = []
+    for one in pair:
+        with pytest.raises((ValueError, TypeError)) as caught:
+            call(one)
+        texts.append(str(caught.value))
+    assert texts[0] == texts[1], texts
+    return texts[0]
+
+
 def test_refusals_have_the_words_of_python_and_change_nothing():
     c, tf = pair = both(flat())
-    for one in pair:
-        with pytest.raises(ValueError, match='call start'):
-            one.step(poses([[0.0, 0.1, 0.0]])[0])
+    assert 'call start' in refused(pair, lambda one: one.step(poses([[0.0, 0.1, 0.0]])[0]))
     drive(pair, path(30, 0.4))
     frame, good = c.frame, np.array(c.frame.pose)
     quarter = np.append(good[:3], turned(good[3:], [0.0, 0.0, 1.5]))
@@ -516,21 +512,11 @@ def test_refusals_have_the_words_of_python_and_change_nothing():
         (good, -1.0), (good, np.nan), (good - [0.5, 0, 0, 0, 0, 0, 0], 1.0), (None, DT), ('x', DT),
     ]  # fmt: skip
     for pose, dt in bad:
-        for name in ('step', 'propose'):
-            texts = []
-            for one in pair:
-                with pytest.raises((ValueError, TypeError)) as caught:
-                    getattr(one, name)(pose, dt)
-                texts.append(str(caught.value))
-            assert texts[0] == texts[1], texts
+        refused(pair, lambda one, given=(pose, dt): one.step(*given))
+        refused(pair, lambda one, given=(pose, dt): one.propose(*given))
     on_side = np.append(good[:3], turned(good[3:], [np.pi / 2, 0.0, 0.0]))
     for pose in (good[:6], good * np.nan, good - [0, 0.9, 0, 0, 0, 0, 0], on_side):
-        texts = []
-        for one in pair:
-            with pytest.raises(ValueError) as caught:
-                one.start(pose)
-            texts.append(str(caught.value))
-        assert texts[0] == texts[1]
+        refused(pair, lambda one, pose=pose: one.start(pose))
     assert c.frame is frame
     for one in pair:  # begins anew: its cut comes to rest and is as it is
         one.start(poses([[0.1, 0.9, 0.0]])[0])

@@ -16,7 +16,6 @@ from learning_to_simulate.soil_field.tools import Blade, Wheel
 from tests.learning_to_simulate.native import worlds
 from tests.learning_to_simulate.soil_field import worlds as soil_worlds
 
-SMALL = {'load': (20, 24), 'surface': (24, 20), 'soil': (24, 16, 20)}
 PRESETS = {
     'blade': ('Slice', 'Trench', 'Cut beside', 'Press and hold'),
     'wheel': ('Drive under load', 'Spin with slip'),
@@ -36,7 +35,7 @@ needs_compiler = pytest.mark.skipif(not web_page.is_available(), reason=f'needs 
 
 FIELDS = {
     'blade': lambda: soil_worlds.trained()[0],
-    'wheel': lambda: worlds.soil_field('wheel', SMALL),
+    'wheel': lambda: worlds.soil_field('wheel'),
 }
 
 
@@ -213,7 +212,7 @@ def test_steering_recording_and_what_is_refused(browser, pages):
 
 
 def test_what_a_page_needs_is_named(monkeypatch, tmp_path):
-    field = worlds.soil_field('blade', SMALL)
+    field = worlds.soil_field('blade')
     monkeypatch.setattr(web_page, 'is_available', lambda: False)
     with pytest.raises(ValueError, match='no compiler for WebAssembly.*pip install ziglang'):
         web_page.write(str(tmp_path / 'page'), 'lts_small', field)
@@ -228,4 +227,4 @@ def test_what_a_page_needs_is_named(monkeypatch, tmp_path):
 def test_c_that_does_not_compile_says_why(monkeypatch):
     monkeypatch.setattr(web_page, 'TARGET', ('--no-such-flag',))
     with pytest.raises(ValueError, match='cannot be compiled for a page.*no-such-flag'):
-        web_page.compile_model('lts_small', soil_data.values(worlds.soil_field('blade', SMALL)))
+        web_page.compile_model('lts_small', soil_data.values(worlds.soil_field('blade')))

@@ -22,6 +22,11 @@ needs_c = pytest.mark.skipif(
 )
 
 
+# Hidden units of the networks of a soil field.
+SMALL = {'load': (20, 24), 'surface': (24, 20), 'soil': (24, 16, 20)}
+TINY = {'load': (6, 5), 'surface': (6,), 'soil': (5,)}
+
+
 class Graph(NamedTuple):
     """An untrained model in a subspace, runs of its data, its starts and its C values."""
 
@@ -44,7 +49,7 @@ def graph(folder, **case) -> Graph:
     return Graph(model, group, starts, values)
 
 
-def soil_field(tool: str, hidden=None, members: int = 3):
+def soil_field(tool: str, hidden=SMALL, members: int = 3):
     """A soil field with networks that nobody has trained but that all inputs move."""
     made = training.make_field(SoilFieldConfig('soil_field', members=members, seed=4), tool, hidden)
     rng = np.random.default_rng(7)

@@ -31,27 +31,24 @@ def made(tmp_path_factory):
     return model, group
 
 
-def test_groups_hold_it_by_frame_and_what_is_constant_once(tmp_path, made):
-    _, group = made
+def test_groups_hold_it_by_frame_and_statistics_are_those_of_all_frames(tmp_path, made):
+    """What is constant is held once."""
+    changing, group = made
     assert group.context.shape == (*group.position.shape[:2], 2)
     np.testing.assert_array_equal(group.context_at(9), group.context[:, 9])
     model, (constant,), metadata = models.make(tmp_path, motion='driven', context=True)
     assert constant.context.shape == (len(constant.position), 2)
+    s, flat = changing.simulator.statistics, group.context.reshape(-1, 2)
+    np.testing.assert_allclose(s.context_mean, flat.mean(axis=0))
+    np.testing.assert_allclose(s.log_context_std[1], np.log(flat[:, 1]).std())
+    np.testing.assert_array_equal(s.context_range, [flat.min(axis=0), flat.max(axis=0)])
     # Side by side both count by frame.
     s = compute_statistics(
         [group, constant], metadata, model.simulator.scene, model.simulator.config
     )
     by_frame = np.repeat(constant.context, group.position.shape[1], axis=0)
-    both = np.concatenate([group.context.reshape(-1, 2), by_frame])
+    both = np.concatenate([flat, by_frame])
     np.testing.assert_allclose(s.context_mean, both.mean(axis=0))
-
-
-def test_statistics_are_those_of_all_frames(made):
-    model, group = made
-    s, flat = model.simulator.statistics, group.context.reshape(-1, 2)
-    np.testing.assert_allclose(s.context_mean, flat.mean(axis=0))
-    np.testing.assert_allclose(s.log_context_std[1], np.log(flat[:, 1]).std())
-    np.testing.assert_array_equal(s.context_range, [flat.min(axis=0), flat.max(axis=0)])
 
 
 def test_rollouts_are_the_single_steps(made):

@@ -132,20 +132,6 @@ def test_open_gates_are_the_dense_graph_and_shut_ones_no_edge(tmp_path, preset):
             assert gated[name] == pytest.approx(value, rel=1e-5), name
 
 
-def test_gates_belong_to_modes_whatever_the_size_of_the_body(tmp_path):
-    model, (group,), _ = models.make(tmp_path, overrides={'mode_edges': synthetic.N_MODES**2})
-    gates = EdgeGates(synthetic.N_MODES)
-    values = np.arange(9.0).reshape(3, 3) - 4
-    gates.log_alpha.assign(100 * np.sign(values))
-    layout = gates.gated(model.layout(group.n_rigid), 2, SEED)
-    drawn = gates.sample(2, SEED).numpy()
-    for edge in range(layout.n_edge):
-        ends = layout.receivers[edge] - group.n_rigid, layout.senders[edge] - group.n_rigid
-        expected = drawn[:, ends[0], ends[1]] if min(ends) >= 0 else 1.0
-        np.testing.assert_array_equal(layout.edge_gates[:, edge], expected)
-    assert model.layout(group.n_rigid).edge_gates is None
-
-
 def test_learned_edges_lie_beside_the_model_and_in_it(data, trained):
     edges = edge_lists.read(f'{trained}/edges.json')
     assert edges.method == 'gates' and edges.n_edge == 5 and edges.threshold == OPEN_THRESHOLD
@@ -192,18 +178,3 @@ def test_a_high_price_shuts_all_gates(data, tmp_path):
         trainer.step(step)
     left = trainer.gates.edge_list(trainer.config, data)
     assert left.degenerate == 'empty' and left.n_edge == 0
-
-
-@pytest.mark.parametrize(
-    ('message', 'overrides'),
-    [
-        ('gates must close', {'gate_steps': 3000}),
-        ('gates must close', {'gate_steps': 30, 'num_steps': 30}),
-        ('leave one of them out', {'adjacency': 'fully_connected'}),
-        ('gate_steps is 0', {'gate_steps': 0}),
-        ('gate_weight is -1', {'gate_weight': -1.0}),
-    ],
-)
-def test_impossible_settings_are_refused(message, overrides):
-    with pytest.raises(ValueError, match=message):
-        presets.make_config('pcg', **{'gate_weight': 0.1} | overrides)

@@ -73,14 +73,15 @@ def test_names_and_not_positions_decide():
 
 def test_selection_by_threshold_and_by_number():
     p = np.array([[np.nan, 0.6, 0.61], [0.9, np.nan, 0.1], [0.1, 0.7, np.nan]])
-    mask = edge_lists.select(p, threshold=0.6)
-    np.testing.assert_array_equal(mask, [[1, 0, 1], [1, 1, 0], [0, 1, 1]])
-    assert not edge_lists.select(p, threshold=0.6, self_edges=False).diagonal().any()
-    np.testing.assert_array_equal(edge_lists.select(p, keep=5), [[1, 0, 0], [1, 1, 0], [0, 1, 1]])
-    assert edge_lists.select(p, keep=9).all()
+    best = [[0, 0, 1], [1, 0, 0], [0, 1, 0]]
+    np.testing.assert_array_equal(edge_lists.select(p, threshold=0.6), best)
+    np.testing.assert_array_equal(edge_lists.select(p, keep=3), best)
+    np.testing.assert_array_equal(edge_lists.select(p, keep=6), 1 - np.eye(3))
+    ties = edge_lists.select(np.full((2, 2), 0.5), keep=3)
+    np.testing.assert_array_equal(ties, [[1, 1], [1, 0]])
     gates = np.array([[0.2, 0.6], [0.9, 0.8]])  # self-edges with probabilities of their own
     np.testing.assert_array_equal(edge_lists.select(gates, keep=2), [[0, 0], [1, 1]])
-    for wish in ({'keep': 2}, {'keep': 10}, {}, {'keep': 5, 'threshold': 0.5}):
+    for wish in ({'keep': -1}, {'keep': 7}, {}, {'keep': 5, 'threshold': 0.5}):
         with pytest.raises(ValueError, match='keep'):
             edge_lists.select(p, **wish)
 

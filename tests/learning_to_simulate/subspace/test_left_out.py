@@ -6,7 +6,6 @@ import pytest
 from learning_to_simulate import (
     checkpoints,
     evaluation,
-    presets,
     reading_utils,
     registry,
 )
@@ -78,9 +77,3 @@ def test_thinned_blade_keeps_its_lowest_particles_and_comes_back_whole(tmp_path)
     moved = again - runs[1].position[6:]
     assert np.isclose(moved[:, group.kept[1]], 1).all()
     assert np.isclose(moved, 0).sum() == moved[:, :4].size  # the other four rigid particles
-
-
-@pytest.mark.parametrize('fields', [{'modes': -1}, {'preset': 'full_space', 'modes': 2}])
-def test_impossible_choices_are_refused(fields):
-    with pytest.raises(ValueError, match='modes'):
-        presets.make_config(**{'preset': 'pcg'} | fields)

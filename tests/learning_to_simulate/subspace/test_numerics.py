@@ -1,4 +1,4 @@
-"""Statistics against plain numpy; noise and losses are held against it in `test_trainer`."""
+"""Settings, and statistics against plain numpy; noise and losses: `test_trainer`."""
 
 import dataclasses
 
@@ -63,6 +63,31 @@ def test_presets_are_the_published_settings():
     for c in (fcg, pcg):
         sizes = c.latent_size, c.message_passing_steps, c.learning_rate, c.batch_size
         assert sizes == (128, 1, 1e-4, 2)
+
+
+GATED = {'gate_weight': 0.1}
+
+
+@pytest.mark.parametrize(
+    ('preset', 'fields', 'words'),
+    [
+        ('pcg', {'mode_order': 0, 'rate_scaled': False}, 'only an MLP of the style ours'),
+        ('mlp_driven', {'style': 'published'}, 'only an MLP of the style ours'),
+        ('pcg', {'model': 'lstm'}, "unknown model 'lstm'; there are gns, mlp"),
+        ('pcg', {'model': 'mlp'}, "adjacency is 'algorithm2' with model 'mlp'"),
+        ('pcg', {'adjacency': 'none'}, "adjacency is 'none' with model 'gns'"),
+        ('pcg', {'modes': -1}, 'modes'),
+        ('full_space', {'modes': 2}, 'modes'),
+        ('pcg', GATED | {'gate_steps': 3000}, 'gates must close'),
+        ('pcg', GATED | {'gate_steps': 30, 'num_steps': 30}, 'gates must close'),
+        ('pcg', GATED | {'adjacency': 'fully_connected'}, 'leave one of them out'),
+        ('pcg', GATED | {'gate_steps': 0}, 'gate_steps is 0'),
+        ('pcg', {'gate_weight': -1.0}, 'gate_weight is -1'),
+    ],
+)
+def test_impossible_settings_are_refused(preset, fields, words):
+    with pytest.raises(ValueError, match=words):
+        presets.make_config(preset, **fields)
 
 
 @pytest.mark.parametrize('force', [0.0, 37.5])

@@ -15,8 +15,7 @@ from learning_to_simulate.subspace.learned_simulator import Layout
 from learning_to_simulate.subspace.trainer import Trainer
 from pca_tools import dataset, files
 from tests.learning_to_simulate import models, synthetic
-from tests.learning_to_simulate.twins.numpy_twin import Twin
-from tests.learning_to_simulate.twins.whole_state_twin import WholeStateTwin
+from tests.learning_to_simulate.twins.numpy_twin import Twin, WholeStateTwin
 
 H = 6
 POINTS = {'blade': 4, 'wheel': 3}

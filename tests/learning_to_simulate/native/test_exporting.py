@@ -3,7 +3,7 @@
 import pytest
 
 from learning_to_simulate import registry
-from learning_to_simulate.native import agreement
+from learning_to_simulate.native import exporting
 from tests.learning_to_simulate.native.worlds import needs_c
 
 pytestmark = needs_c
@@ -12,10 +12,9 @@ SHIPPED = [('excavation', 'pcg_thesis'), ('wheel', 'pcg')]
 
 @pytest.mark.parametrize('scene, name', SHIPPED)
 def test_shipped_graphs_over_a_rollout(scene, name):
-    path = f'models/{scene}/{name}'
-    opened = agreement.Opened.of(path)
-    group = registry.open_model(path, f'datasets/{scene}', 'test').groups[0].select(0)
-    row = agreement.over_frames(*opened.steppers(), group)
+    paths = f'models/{scene}/{name}', f'datasets/{scene}'
+    group = registry.open_model(*paths, 'test').groups[0].select(0)
+    row = exporting.over_frames(*exporting.CModel(*paths).steppers(), group)
     assert row['frames'] > 40 and row['same_status'] == row['frames']
     # As a share of the motion and of the largest force.
     assert row['position'] <= 1e-5 and row['force'] <= 1e-5
