@@ -86,3 +86,11 @@ def test_commands(run):
     said = run('lts', '--help')
     assert 'train' in said and 'rollout' in said
     assert 'excavation/soil_field' in run('lts', 'list').split()
+
+
+def test_own_data_by_the_lines_of_the_documents(run):
+    """Raw runs by the script of docs/data.md, then the first commands of the README."""
+    (block,) = re.findall(r'```python\n(.*?)```', (ROOT / 'docs/data.md').read_text(), re.DOTALL)
+    run('python', '-c', block)
+    run('lts', 'convert', '--raw_path=raw/own', '--output_path=my_data')
+    assert '5 runs' in run('lts', 'inspect', 'my_data')

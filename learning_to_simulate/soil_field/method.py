@@ -20,6 +20,7 @@ from learning_to_simulate.soil_field import runs as runs_lib
 from learning_to_simulate.soil_field import samples, training
 from learning_to_simulate.soil_field.evaluation import SoilEvaluator, bounds_of
 from learning_to_simulate.soil_field.runs import Run
+from learning_to_simulate.soil_field.settings import SCHEDULES
 from learning_to_simulate.training.loop import StopSignals
 from pca_tools import dataset, files
 from pca_tools.storage import folder_lock
@@ -56,7 +57,10 @@ def train(data_path, model_path, config, options) -> dict:
             runs = runs_lib.read_all(folders, 'train')
             tool = one_tool(runs + valid, data_path)
             made = training.make_field(config, tool, first=first)
-            print(f'{config.preset}: {len(runs)} runs of a {tool}, three networks')
+            steps = ', '.join(
+                f'{name} {longer * config.num_steps}' for name, (_, longer, _) in SCHEDULES.items()
+            )
+            print(f'{config.preset}: {len(runs)} runs of a {tool}; steps: {steps}')
             # The ranges of a field are those of the runs that come last.
             held = training.parts_of(made, valid, _bar('valid')) if first and valid else None
             pools = training.parts_of(made, runs, _bar('samples'))
