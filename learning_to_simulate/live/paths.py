@@ -152,7 +152,7 @@ def roll_out(stepper, path, velocity=None, case=None, context=None) -> SoilRollo
         soils=[frame.soil for frame in frames],
         force=force,
         judgement=frames[-1].judgement,
-        frame_status=tuple(frame.now for frame in frames),
+        frame_status=tuple(frame.now.status for frame in frames),
         body=_whole_body(start, path, nodes, scene),
         scene=scene,
     )

@@ -39,7 +39,7 @@ class Frame(NamedTuple):
       pose: float64 [7], position (m) and quaternion (w, x, y, z) of the body; None where the body
         is given by its particles, or they do not fix one.
       force: [D] on the body, N, or [B, D] on several; None where the scene has no force.
-      now: the status of this frame alone.
+      now: that of this frame alone.
     """
 
     judgement: Judgement
@@ -47,7 +47,7 @@ class Frame(NamedTuple):
     rigid_pose: np.ndarray
     pose: np.ndarray | None
     force: np.ndarray | None
-    now: RolloutStatus = RolloutStatus.OK
+    now: Judgement = OK
 
     def __repr__(self) -> str:
         values = [] if self.force is None else [f'{value:.4g}' for value in np.ravel(self.force)]
@@ -210,7 +210,7 @@ class Stepper:
         self._now, self._ranges, body = step, ranges, history[-1, :n]
         force = self._by_body(np.zeros(self._model.simulator.force_size, np.float32))
         soil = Soil(history[-1, n:], self._decoder)
-        frame = Frame(judgement, soil, body, start.pose, force, judgement.status)
+        frame = Frame(judgement, soil, body, start.pose, force, judgement)
         self._run = StepperState(start, frame, 0, body, None)
         return judgement
 
@@ -257,13 +257,13 @@ class Stepper:
                     raise ValueError(f'{alone.status}: {alone.reason}; the state stays as it was')
                 held = last._replace(judgement=so_far)
                 self._run = run._replace(frame=held)
-                return held._replace(now=alone.status)
+                return held._replace(now=alone)
             force = self._by_body(flat)
             for values in (position, force):
                 if values is not None:
                     values.setflags(write=False)
             soil, at = Soil(position[n:], self._decoder), self._pose(start, pose, position[:n])
-            frame = Frame(so_far, soil, position[:n], at, force, alone.status)
+            frame = Frame(so_far, soil, position[:n], at, force, alone)
             if alone.status == RolloutStatus.NON_FINITE:
                 self._run = run._replace(frame=last._replace(judgement=so_far))
                 return frame

@@ -190,9 +190,9 @@ def over_frames(ours: Stepper, theirs: Stepper, group, limit: int | None = None)
         pose = truth[k, :n] if known else None
         context = group.context_at(k, 0) if group.context_changes else None
         mine, frame = (stepper.step(pose, context) for stepper in (ours, theirs))
-        if frame.now not in (RolloutStatus.OK, RolloutStatus.EXTRAPOLATING):
+        if frame.now.status not in (RolloutStatus.OK, RolloutStatus.EXTRAPOLATING):
             break
-        same += mine.now == frame.now and mine.judgement[:3] == frame.judgement[:3]
+        same += mine.now[:3] == frame.now[:3] and mine.judgement[:3] == frame.judgement[:3]
         one, other, start = (np.concatenate([f.rigid_pose, f.modes]) for f in (mine, frame, first))
         note('position', one, other, other - start)
         if frame.force is not None:

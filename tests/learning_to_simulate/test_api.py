@@ -113,7 +113,7 @@ def test_recorded_runs_of_a_split_are_opened_once_and_those_of_a_new_dataset_ane
 def test_jump_zeros_and_force_are_flagged_in_every_later_frame(blade):
     model, live, path = blade
     live.start(path[0], VELOCITY)
-    assert live.step(path[1]).now == RolloutStatus.OK
+    assert live.step(path[1]).now.status == RolloutStatus.OK
     away = path[2].copy()
     away[0] += 0.5
     jump = live.step(away)

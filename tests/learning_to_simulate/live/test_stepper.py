@@ -126,7 +126,7 @@ def test_what_is_refused_held_or_put_back_leaves_no_trace(made, steppers, kind):
             with pytest.raises(ValueError, match=message):
                 stepper.step(bad)
         # A frame that is not finite is told and never becomes the state.
-        assert stepper.step(pose + 1e37).now == RolloutStatus.NON_FINITE
+        assert stepper.step(pose + 1e37).now.status == RolloutStatus.NON_FINITE
         if k % 3 == 0:  # a detour, and back
             stepper.step(pose + 0.01)
             stepper.state = state
@@ -153,8 +153,8 @@ def test_holds_or_raises_as_it_is_told(made, steppers):
                 stepper.step(poses[1] + 0.3)
         else:
             held = stepper.step(poses[1] + 0.3)
-            assert held.modes is before.modes and held.now != RolloutStatus.OK
-        assert stepper.step(poses[1]).now == RolloutStatus.OK
+            assert held.modes is before.modes and held.now.status != RolloutStatus.OK
+        assert stepper.step(poses[1]).now.status == RolloutStatus.OK
     with pytest.raises(ValueError, match="outside is 'stop'"):
         Stepper(model, n_rigid=group.n_rigid, outside='stop')
 

@@ -127,7 +127,8 @@ def test_live_steps_keep_the_last_one_and_flag_one_outside(made, stepper):
         frames += [stepper.step(pose, context).modes for pose, context in zip(poses, contexts)]
     np.testing.assert_array_equal(held, given)
     frame = stepper.step(poses[2], [9.81, 80.0])
-    assert frame.now == RolloutStatus.EXTRAPOLATING and 'friction_angle_deg 80' in frame.reason
+    assert frame.now.status == RolloutStatus.EXTRAPOLATING
+    assert 'friction_angle_deg 80' in frame.now.reason
     assert frame.judgement.frame == H + 2
     with pytest.raises(ValueError, match='context'):
         stepper.step(poses[3], [9.81])
