@@ -232,7 +232,10 @@ def _draw_errors(axes: Axes, models: Sequence[RolloutFrames]) -> None:
         return  # soil that rests, and a prediction that says so
     # Predictions may be orders of magnitude better than their neighbours.
     high = 1.3 * float(values.max())
-    low = max(0.8 * float(values[values > 0].min()), 1e-3 * high)
+    low = max(float(values[values > 0].min()), 1e-3 * high)
+    for line in axes.lines:  # what is smaller is seen at the floor
+        line.set_ydata(np.maximum(line.get_ydata(), low))
+    low *= 0.8
     axes.set_yscale('log')
     axes.set_ylim(low, high)
     subs = (1.0, 2.0, 5.0) if high < 200 * low else (1.0,)

@@ -217,6 +217,16 @@ def test_the_force_axis_clips_no_prediction(made, change):
     assert names == {f'{a}, {name}' for a in 'xy' for name in ('ground truth', PREDICTION)}
 
 
+def test_the_error_axis_shows_frames_that_are_exact(frames, view):
+    error = frames.soil_rms_mm[PREDICTION].copy()
+    error[:3] = 0.0, 1e-6, 1e-4
+    exact = dataclasses.replace(frames, soil_rms_mm=frames.soil_rms_mm | {PREDICTION: error})
+    (axes,) = (a for a in strip(exact, view).axes if a.get_yscale() == 'log')
+    shown = axes.lines[0].get_ydata()
+    assert axes.get_ylim()[0] < shown[0] == shown[2] < error[3:].min()
+    np.testing.assert_array_equal(shown[3:], error[3:])
+
+
 def test_soil_body_and_force_are_where_they_should_be(frames, view):
     """Whatever was drawn before; in colours of the error, the truth has one colour."""
     figure = animated(frames, view)
