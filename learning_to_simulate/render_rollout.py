@@ -42,16 +42,16 @@ FORMATS = ('png', 'gif', 'mp4', 'vtp')
 _DPI = {'png': 200, 'gif': 100, 'mp4': 150}
 
 
-def draw_terrain(arrays, path: str, name: str, **options) -> None:
-    """Draws the arrays of a `soil_field.rollout.TerrainRollout` of a name into a file .png, .gif or
-    .mp4; options of `terrain_views.draw`. ValueError: another ending, or a package for pictures is
+def draw_terrain(arrays, path: str, **options) -> None:
+    """Draws the arrays of a `soil_field.rollout.TerrainRollout` into a file .png, .gif or .mp4;
+    options of `terrain_views.draw`. ValueError: another ending, or a package for pictures is
     missing."""
     _, kind = target_and_format(path)
     try:
         from learning_to_simulate.rendering import terrain_views
     except ModuleNotFoundError as error:
         raise ValueError(f'pictures need {error.name}: pip install .[viz]') from error
-    terrain_views.draw(arrays, path, kind, name, **options)
+    terrain_views.draw(arrays, path, kind, **options)
 
 
 def target_and_format(path: str) -> tuple[str, str]:
@@ -162,7 +162,7 @@ def _render_terrain(values):
     os.makedirs(values.output_path, exist_ok=True)
     for kind in values.format:
         target = os.path.join(values.output_path, f'{name}.{kind}')
-        draw_terrain(arrays, target, values.label or str(arrays.get('case', name)))
+        draw_terrain(arrays, target, label=values.label)
         print(target)
 
 

@@ -16,6 +16,7 @@ import dataclasses
 import os
 import statistics
 import time
+from collections.abc import Sequence
 
 import numpy as np
 import tqdm
@@ -31,9 +32,9 @@ from reports.record import ROOT
 MODELS = {'soil_field': 'soil field', 'pcg': 'graph network (pcg)'}
 CASES = {'excavation': 'lift_0001', 'wheel': 'load_0001'}
 SOIL, FORCE, DRAWBAR = 'soil error, mm', 'force error, N', 'along the way (drawbar), N'
-STEP, PARTICLES = 'step and force, ms', 'and all particles, ms'
-COLUMNS = 'method', SOIL, DRAWBAR, FORCE, STEP, PARTICLES
-# Frames in which a soil field, or after which a network, is asked for all particles, too.
+STEP, PARTICLES, COUNT = 'step and force, ms', 'and all particles, ms', 'particles'
+COLUMNS = 'method', SOIL, DRAWBAR, FORCE, STEP, PARTICLES, COUNT
+# Frames after which a network is asked for all particles, too; how many a soil field is timed in.
 EVERY = 20
 
 
@@ -79,7 +80,7 @@ def evaluate(name: str, case: int | str, out: str) -> tuple[list[dict], list[str
             evaluator = SoilEvaluator(model.model, under_load=False)
             results, summary = evaluator.run([opened.groups[number]], 'test')
             rollouts.append(results[0][-1])
-            steps, wholes = field_steps(model, rollouts[0])
+            steps, wholes, count = field_steps(model, rollouts[0])
             rows.append(_row('persistence', summary['mean']['stay_still']))
         else:
             found = (g.take(np.flatnonzero(g.record == number)) for g in opened.groups)
@@ -89,36 +90,40 @@ def evaluate(name: str, case: int | str, out: str) -> tuple[list[dict], list[str
             record = data.test.records[number]
             poses = record.rigid_pose.astype(float)
             steps, wholes = timing.stepping(model.stepper(), poses, record.step_context, EVERY)
-        # The first one chooses the particles that then are followed, or compiles.
-        times = {STEP: statistics.median(steps), PARTICLES: statistics.median(wholes[1:])}
-        row = _row(title, summary['mean']['model'])
-        rows.append(row | {column: 1e3 * seconds for column, seconds in times.items()})
+            wholes, count = wholes[1:], rollouts[1].scene.n_soil  # the first one compiles
+        times = {STEP: 1e3 * statistics.median(steps), PARTICLES: 1e3 * statistics.median(wholes)}
+        rows.append(_row(title, summary['mean']['model']) | times | {COUNT: count})
     field, network = rollouts
     return rows, draw(name, field, network, out)
 
 
-def field_steps(model, rollout) -> tuple[list[float], list[float]]:
-    """As `timing.stepping`, of a soil field that is stepped from Python along a rollout.
+def field_steps(model, rollout) -> tuple[list[float], list[float], int]:
+    """As `timing.stepping`, of a soil field that is stepped from Python along a rollout: of the
+    frames of the largest forces, as a tool in the air moves no particles.
 
     Args:
       model: `api.TerrainModel`.
       rollout: `soil_field.rollout.TerrainRollout` of it.
 
     Returns:
-      seconds of steps with their force, and of steps with their force and all particles.
+      seconds of steps with their force, and of steps with their force and all particles, which
+      are asked for in every frame; the number of particles.
     """
-    live = model.stepper(rollout.before.clone(), rollout.tool)
-    live.start(rollout.pose[0])
-    steps, wholes, middle = [], [], len(rollout) // 2
-    for frame, pose in enumerate(rollout.pose[1 : middle + EVERY], 1):
-        start = time.perf_counter()
-        live.step(pose, rollout.dt)
-        if frame < middle:
-            steps.append(time.perf_counter() - start)
-        else:
-            live.particles()
-            wholes.append(time.perf_counter() - start)
-    return steps, wholes
+    loaded = np.argsort(np.linalg.norm(rollout.force[1:], axis=1))[-EVERY:]
+    times: list[list[float]] = []
+    particles: Sequence = ()
+    for is_whole in (False, True):
+        seconds = []
+        live = model.stepper(rollout.before.clone(), rollout.tool)
+        live.start(rollout.pose[0])
+        for pose in rollout.pose[1:]:
+            start = time.perf_counter()
+            live.step(pose, rollout.dt)
+            if is_whole:
+                particles = live.particles()
+            seconds.append(time.perf_counter() - start)
+        times.append([seconds[i] for i in loaded])
+    return times[0], times[1], len(particles)
 
 
 def _row(name, mean):
@@ -214,8 +219,9 @@ def main(values) -> None:
     print('\n' + text + '\n')
     print("soil error: root mean square over the solver's own particles. Forces: root mean square")
     print('per component, and its share of the true force; persistence: soil and force stay.')
-    print('Times: medians of steps from Python, in C where a compiler is at hand; the CPU time of')
-    print('a frame of the solver, one core.\n')
+    print('Times: medians of steps from Python, in C where a compiler is at hand; of the')
+    print(f'soil field in the {EVERY} frames of the largest forces; of the solver CPU time.')
+    print("Particles: of the soil field those about the tool, of the network the solver's own.\n")
     for path in pictures:
         print(os.path.relpath(path))
     print(f'everything is in {os.path.relpath(out)}; {time.perf_counter() - started:.0f} s')

@@ -17,6 +17,7 @@ from learning_to_simulate.rendering import movie_files
 from learning_to_simulate.rendering.particle_views import COLOR_MAPS, ParticleView, ViewSetup
 from learning_to_simulate.rendering.rollout_frames import (
     CONSTANT,
+    FORCE_NAMES,
     PREDICTION,
     STILL,
     TRUE_NAME,
@@ -49,12 +50,13 @@ STYLE = {
 }
 COLOR_LABELS = {'speed': 'soil speed (mm/s)', 'error': 'soil error (mm)'}
 # Okabe and Ito (2008), told apart with every kind of colour vision: axes of the force; models.
-_AXIS_COLORS, _MODEL_COLORS = ('#0072b2', '#d55e00'), ('#7b1f6b', '#009e73', '#c8a24a', '#0072b2')
+AXIS_COLORS = '#0072b2', '#d55e00'
+_MODEL_COLORS = ('#7b1f6b', '#009e73', '#c8a24a', '#0072b2')
 _MODEL_DASHES = ('-', '--', ':', '-.')
 WIDTH = 9.6  # inches
 # Margins and distances in inches.
 _LEFT, _RIGHT, _TOP, _BOTTOM = 0.98, 0.92, 1.12, 0.72
-_GAP, _ROW_GAP, _CURVE_HEIGHT, _CURVE_GAP = 0.3, 0.16, 1.45, 0.92
+_GAP, _ROW_GAP, _CURVE_HEIGHT, _CURVE_GAP, _LEGEND_ROW = 0.3, 0.16, 1.45, 0.92, 0.13
 _LABEL_SIZE, _CHARACTER = 9, 0.073  # points and inches, of a label and of a letter in it
 # Points; a title of more characters is set smaller, so that it stays on one line.
 _TITLE_SIZE, _TITLE_LENGTH, _CAPTION_SIZE = 13, 86, 9.5
@@ -80,7 +82,7 @@ class AnimatedFigure:
         self._frames, self._models = frames, [frames, *beside]
         shown = _shown(self._models)
         with rc_context(STYLE):
-            page = _Page(len(shown), 1, frames, view, dpi)
+            page = _Page(len(shown), 1, self._models, view, dpi)
             self.views = []
             for column, (one, which, name) in enumerate(shown):
                 axes = page.view_axes(0, column, title=name)
@@ -135,7 +137,7 @@ def strip_figure(
     if frames.soil and frames.has_truth:
         rows.append((frames, PREDICTION, 'error', f'error ({frames.model})'))
     with rc_context(STYLE):
-        page = _Page(len(moments), len(rows), frames, view, dpi)
+        page = _Page(len(moments), len(rows), models, view, dpi)
         page.caption.set_text(caption(models))
         for row, (one, which, color_by, label) in enumerate(rows):
             for column, i in enumerate(moments):
@@ -191,19 +193,20 @@ def _shown(models: Sequence[RolloutFrames]) -> list[tuple]:
 
 
 def _draw_force(axes: Axes, models: Sequence[RolloutFrames]) -> None:
-    """Force along the way and upwards: pale the truth, thin the predictions."""
+    """Force against the way and upwards: pale the truth, thin the predictions."""
     first = models[0]
     start, shown = first.first_predicted, [0.0]
-    for axis, color in zip(first.axes[:2], _AXIS_COLORS):
+    signs = -first.heading, 1.0
+    for axis, sign, color, way in zip(first.axes[:2], signs, AXIS_COLORS, FORCE_NAMES, strict=True):
         if first.has_truth:
-            truth = first.force[TRUTH][:, axis]
-            label = f'{"xyz"[axis]}, {TRUE_NAME}'
+            truth = sign * first.force[TRUTH][:, axis]
+            label = f'{way}, {TRUE_NAME}'
             axes.plot(first.time, truth, color=color, alpha=0.35, linewidth=2.6, label=label)
             shown.append(truth)
         for one, dashes in zip(models, _MODEL_DASHES):
             if one.force is None:
                 continue
-            force, name = one.force[PREDICTION][start:, axis], f'{"xyz"[axis]}, {one.model}'
+            force, name = sign * one.force[PREDICTION][start:, axis], f'{way}, {one.model}'
             axes.plot(one.time[start:], force, dashes, color=color, linewidth=1.2, label=name)
             shown.append(force)
     axes.axhline(0.0, color=FAINT, linewidth=0.7)
@@ -211,7 +214,7 @@ def _draw_force(axes: Axes, models: Sequence[RolloutFrames]) -> None:
     low, high = (f([f(x) for x in shown]) for f in (np.min, np.max))
     room = 0.06 * (high - low) or 1.0
     axes.set_ylim(low - room, high + room)  # nothing is clipped
-    _legend_above(axes, columns=len(models) + 1)
+    _legend_above(axes, columns=2)
 
 
 def _draw_errors(axes: Axes, models: Sequence[RolloutFrames]) -> None:
@@ -232,7 +235,10 @@ def _draw_errors(axes: Axes, models: Sequence[RolloutFrames]) -> None:
         return  # soil that rests, and a prediction that says so
     # Predictions may be orders of magnitude better than their neighbours.
     high = 1.3 * float(values.max())
-    low = max(0.8 * float(values[values > 0].min()), 1e-3 * high)
+    low = max(float(values[values > 0].min()), 1e-3 * high)
+    for line in axes.lines:  # what is smaller is seen at the floor
+        line.set_ydata(np.maximum(line.get_ydata(), low))
+    low *= 0.8
     axes.set_yscale('log')
     axes.set_ylim(low, high)
     subs = (1.0, 2.0, 5.0) if high < 200 * low else (1.0,)
@@ -269,14 +275,21 @@ class _Page:
     """
 
     def __init__(
-        self, n_columns: int, n_rows: int, frames: RolloutFrames, view: ViewSetup, dpi: int
+        self,
+        n_columns: int,
+        n_rows: int,
+        models: Sequence[RolloutFrames],
+        view: ViewSetup,
+        dpi: int,
     ):
+        frames = models[0]
         self._n_rows, self._view = n_rows, view
         width = WIDTH - _LEFT - _RIGHT - _GAP * (n_columns - 1)
         self._view_width = width / n_columns
         self._view_height = self._view_width * view.aspect
         views = n_rows * self._view_height + (n_rows - 1) * _ROW_GAP
-        self._height = _TOP + views + _CURVE_GAP + _CURVE_HEIGHT + _BOTTOM
+        gap = _CURVE_GAP + _LEGEND_ROW * max(len(models) - 2, 0)
+        self._height = _TOP + views + gap + _CURVE_HEIGHT + _BOTTOM
         self.figure = Figure(figsize=(WIDTH, self._height), dpi=dpi, facecolor='white')
         self.canvas = FigureCanvasAgg(self.figure)
         size = _TITLE_SIZE * min(1.0, _TITLE_LENGTH / len(frames.title))

@@ -22,7 +22,9 @@ from pca_tools.metadata import metadata_problems
 DIM = 3
 TRUTH, PREDICTION = 'truth', 'prediction'
 # What pictures call the truth and the trivial predictors.
-TRUE_NAME, STILL, CONSTANT = 'ground truth', 'persistence', 'constant velocity'
+TRUE_NAME, STILL, CONSTANT = 'solver', 'persistence', 'constant velocity'
+# What they call the parts of the force.
+FORCE_NAMES = 'against the way', 'up'
 SOIL_PARTICLE_TYPE = dataset.MODE_PARTICLE_ID
 # Views: indices of the horizontal and the vertical axis.
 PLANES = {'xy': (0, 1), 'xz': (0, 2), 'zy': (2, 1), 'yz': (1, 2), 'yx': (1, 0), 'zx': (2, 0)}
@@ -88,6 +90,15 @@ class RolloutFrames:
     def axes(self) -> tuple[int, int, int]:
         """Along the body's way, up, and across."""
         return metrics.travel_axes(self.rigid[self.reference], self.up_axis)
+
+    @property
+    def heading(self) -> float:
+        """1 or -1, along the first of `axes`: to where the body is farthest from its start."""
+        body = self.rigid[self.reference]
+        if not body.shape[1]:
+            return -1.0
+        moved = (body - body[0]).mean(axis=1)[:, self.axes[0]]
+        return 1.0 if moved[np.abs(moved).argmax()] > 0 else -1.0
 
     @property
     def n_frames(self) -> int:

@@ -19,11 +19,11 @@ from learning_to_simulate import metrics
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH
 from learning_to_simulate.rendering import movie_files
 from learning_to_simulate.rendering.particle_views import BODY_EDGE, BODY_FACE, PLAIN_SOIL
-from learning_to_simulate.rendering.rollout_figures import FAINT, INK, STYLE, WIDTH
+from learning_to_simulate.rendering.rollout_figures import AXIS_COLORS, FAINT, INK, STYLE, WIDTH
+from learning_to_simulate.rendering.rollout_frames import FORCE_NAMES, TRUE_NAME
 
 _MOMENTS = (0.2, 0.6, 1.0)  # shares of the run that a picture shows
 _CHANGE = 'BrBG'  # brown where soil is missing, green where it lies on top
-_COLORS = ('#0072b2', '#d55e00')  # along the way, up
 _DPI = {'png': 160, 'gif': 90, 'mp4': 130}
 _UP = np.array([0.0, 1.0, 0.0])
 _BESIDE, _ASIDE = 0.4, 0.7  # m beyond the path that a section and a map reach
@@ -32,37 +32,41 @@ _QUANTILE = 0.998
 
 
 def draw(
-    arrays: Mapping[str, np.ndarray], path: str, kind: str, name: str, step_stride: int = 8,
+    arrays: Mapping[str, np.ndarray], path: str, kind: str, label: str = '', step_stride: int = 8,
     progress: Callable = lambda frames, label: frames,
 ) -> None:  # fmt: skip
-    """Draws a rollout of a name, the arrays of `TerrainRollout.arrays`, into a file: png (three
-    moments), gif or mp4, which has step_stride frames between those it shows, or one where there is
-    a map. `progress` wraps these, called with them and a label."""
+    """Draws a rollout, the arrays of `TerrainRollout.arrays`, into a file: png (three moments), gif
+    or mp4, which has step_stride frames between those it shows, or one where there is a map.
+    `label` is the name of the model. `progress` wraps these frames, called with them and a label.
+    """
     frames = arrays['height_frames']
     last = len(frames) - 1
     if kind == 'png':
-        page = figure(arrays, [round(share * last) for share in _MOMENTS], name, _DPI[kind])
+        page = figure(arrays, [round(share * last) for share in _MOMENTS], _DPI[kind], label)
         movie_files.write_png(path, page)
         return
     apart = int(frames[1] - frames[0]) if last else 1
     shown = range(0, last + 1, max(1, round(step_stride / apart)))
-    pages = (figure(arrays, [i], name, _DPI[kind]) for i in progress(shown, kind))
+    pages = (figure(arrays, [i], _DPI[kind], label) for i in progress(shown, kind))
     pixels = map(_pixels, pages)
     movie_files.write(path, kind, pixels, shown.step * apart * float(arrays['dt']))
 
 
 def _pixels(page):
     canvas = FigureCanvasAgg(page)
+    page.draw_without_rendering()  # the first layout knows no ticks: the scale's name is cut
     canvas.draw()
     return movie_files.pixels_of(canvas)
 
 
-def figure(arrays: Mapping[str, np.ndarray], moments: Sequence[int], name: str, dpi: int) -> Figure:
+def figure(
+    arrays: Mapping[str, np.ndarray], moments: Sequence[int], dpi: int, label: str = ''
+) -> Figure:
     """The figure of some moments, indices of maps, side by side; of one, maps are side by side."""
     arrays = _about_path(arrays)
     maps = {'model': arrays['predicted_heights']}
     if 'ground_truth_heights' in arrays:
-        maps['ground truth'] = arrays['ground_truth_heights']
+        maps[TRUE_NAME] = arrays['ground_truth_heights']
     before, frames = arrays['heights_before'], arrays['height_frames']
     changes = np.nan_to_num([m[-1] - before for m in maps.values()])
     largest = max(1e3 * float(np.quantile(np.abs(changes), _QUANTILE)), 1.0)
@@ -77,7 +81,7 @@ def figure(arrays: Mapping[str, np.ndarray], moments: Sequence[int], name: str, 
         page = Figure(
             figsize=(WIDTH, sum(rows) + 0.9), dpi=dpi, facecolor='white', layout='constrained'
         )
-        page.suptitle(_title(arrays, name), fontsize=11, fontweight='bold', x=0.02, ha='left')
+        page.suptitle(_title(arrays, label), fontsize=11, fontweight='bold', x=0.02, ha='left')
         grid = page.add_gridspec(len(rows), columns, height_ratios=rows)
         views: list = []
         for column, i in enumerate(moments):
@@ -118,29 +122,37 @@ def _about_path(arrays):
     return {**arrays, 'corner': corner} | {n: arrays[n][part] for n in names}
 
 
-def _title(arrays, name):
+def _title(arrays, label):
     tool = json.loads(str(arrays['tool']))
-    text = f'{name}: a {tool["name"]} of {1e2 * tool["width"]:.3g} cm width'
-    if 'kind' in arrays:
-        text += f' (kind {arrays["kind"]})'
-    text += _errors(arrays)
+    text = f'{label}: a' if label else 'A'
+    text += f' {tool["name"]} of {1e2 * tool["width"]:.3g} cm width'
+    text += f' on the run {arrays["case"]}' if 'case' in arrays else ' on a given path'
+    if errors := ', '.join(_errors(arrays, tool['name'] == 'wheel')):
+        text += '\n' + errors
     status = str(arrays['status'])
     return text if status == 'ok' else f'{text}\n{status}: {arrays["status_reason"]}'
 
 
-def _errors(arrays):
-    """How far a rollout is off, as evaluation counts it; '' where that is not known."""
+def _errors(arrays, is_wheel):
+    """How far a rollout is off, as evaluation counts it, in words; none where that is not known."""
     if 'ground_truth_forces' not in arrays:
-        return ''
-    late = slice(INPUT_SEQUENCE_LENGTH, None)
-    both = (arrays[f'{name}_forces'][None, late] for name in ('predicted', 'ground_truth'))
-    share = float(metrics.force_errors(*both)['force_relative_l2'][0])
-    text = f'force off by {100 * share:.0f} %' if np.isfinite(share) else ''
+        return []
+    names, found = ('predicted', 'ground_truth'), []
+    forces = [arrays[f'{name}_forces'][None, INPUT_SEQUENCE_LENGTH:] for name in names]
+    loads = {'force off': forces}
+    if is_wheel:  # its load is given, so most of its force is
+        along = _start(arrays)
+        drawbar = [force @ along[:, None] for force in forces]
+        loads = {'drawbar (force along the way) off': drawbar, 'whole force': forces}
+    for name, both in loads.items():
+        share = float(metrics.force_errors(*both)['force_relative_l2'][0])
+        if np.isfinite(share):
+            found.append(f'{name} by {100 * share:.0f} %')
     if 'predicted_particles' in arrays and 'ground_truth_particles' in arrays:
-        both = (arrays[f'{name}_particles'] for name in ('predicted', 'ground_truth'))
+        both = [arrays[f'{name}_particles'] for name in names]
         stride = int(arrays['height_frames'][1] - arrays['height_frames'][0])
-        text += f', soil by {metrics.soil_mm(*both, stride):.2g} mm'
-    return f'\n{text}' if text else ''
+        found.append(f'soil by {metrics.soil_mm(*both, stride):.2g} mm')
+    return found
 
 
 def _extent(arrays):
@@ -154,6 +166,13 @@ def _way(pose):
     across = turn.apply([0.0, 0.0, -1.0]) * [1.0, 0.0, 1.0]
     across = across / max(np.linalg.norm(across), 1e-12)
     return np.cross(_UP, across), across, turn
+
+
+def _start(arrays):
+    """Level unit vector along the way of the first pose that is finite."""
+    pose = np.asarray(arrays['pose'], float)
+    good = np.flatnonzero(np.isfinite(pose).all(axis=1))
+    return _way(pose[good[0]])[0] if len(good) else np.array([-1.0, 0.0, 0.0])
 
 
 def _draw_section(axes, arrays, maps, i):
@@ -183,9 +202,9 @@ def _draw_section(axes, arrays, maps, i):
     room = max(0.6 * (high - low), 0.03)
     axes.fill_between(u, low - room, now, color=PLAIN_SOIL, alpha=0.75, linewidth=0)
     axes.plot(u, now, color=INK, linewidth=1.3, label='model')
-    if 'ground truth' in maps:
-        truth = section(maps['ground truth'][i])
-        axes.plot(u, truth, '--', color='#b03060', linewidth=1.2, label='ground truth')
+    if TRUE_NAME in maps:
+        truth = section(maps[TRUE_NAME][i])
+        axes.plot(u, truth, '--', color='#b03060', linewidth=1.2, label=TRUE_NAME)
     axes.plot(u, was, ':', color=FAINT, linewidth=1.1, label='before')
     shape = np.asarray(arrays['outline'], float)
     points = turn.apply(np.stack([-shape[:, 0], shape[:, 1], 0 * shape[:, 0]], axis=1)) + pose[:3]
@@ -212,16 +231,13 @@ def _draw_map(axes, arrays, change, frame, extent, largest):
 
 
 def _draw_force(axes, arrays, frames):
-    pose = np.asarray(arrays['pose'], float)
-    good = np.flatnonzero(np.isfinite(pose).all(axis=1))
-    along = _way(pose[good[0]])[0] if len(good) else np.array([-1.0, 0.0, 0.0])
-    time = float(arrays['dt']) * np.arange(len(pose))
-    names = 'against the way', 'up'
-    for direction, color, name in zip((-along, _UP), _COLORS, names, strict=True):
+    time = float(arrays['dt']) * np.arange(len(arrays['pose']))
+    directions = -_start(arrays), _UP
+    for direction, color, name in zip(directions, AXIS_COLORS, FORCE_NAMES, strict=True):
         if 'ground_truth_forces' in arrays:
             truth = np.asarray(arrays['ground_truth_forces'], float) @ direction
             axes.plot(
-                time, truth, color=color, alpha=0.35, linewidth=2.6, label=f'{name}, ground truth'
+                time, truth, color=color, alpha=0.35, linewidth=2.6, label=f'{name}, {TRUE_NAME}'
             )
         force = np.asarray(arrays['predicted_forces'], float) @ direction
         axes.plot(time, force, color=color, linewidth=1.2, label=f'{name}, model')

@@ -39,7 +39,7 @@ class TerrainRollout(Judged):
       seconds: that the computation took.
       particles: float32 [F, P, 3], m, of a recorded run that has particles; else None.
       run: `runs.Run` that was followed, or None of a path that nobody recorded.
-      name: for files and titles.
+      name: for files.
     """
 
     tool: Tool
@@ -113,7 +113,7 @@ class TerrainRollout(Judged):
         ValueError: another ending, or a package for pictures is missing (pip install .[viz])."""
         from learning_to_simulate import render_rollout
 
-        render_rollout.draw_terrain(self.arrays(), path, self.name, **options)
+        render_rollout.draw_terrain(self.arrays(), path, **options)
 
 
 def outline(tool: Tool) -> np.ndarray:

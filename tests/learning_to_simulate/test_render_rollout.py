@@ -214,7 +214,32 @@ def test_the_force_axis_clips_no_prediction(made, change):
     low, high = axes.get_ylim()
     assert low < -700 and high > 900
     names = {text.get_text() for text in axes.get_legend().get_texts()}
-    assert names == {f'{a}, {name}' for a in 'xy' for name in ('ground truth', PREDICTION)}
+    ways = 'against the way', 'up'
+    assert names == {f'{way}, {name}' for way in ways for name in ('solver', PREDICTION)}
+
+
+@pytest.mark.parametrize('way', [1.0, -1.0])
+def test_a_force_against_the_way_is_drawn_upwards(frames, view, way):
+    start, steps = frames.rigid[TRUTH][:1], np.arange(frames.n_frames)[:, None, None]
+    there = start + 0.01 * way * steps * [1.0, 0.0, 0.0]
+    force = np.tile([-30.0 * way, 10.0, 0.0], (frames.n_frames, 1))
+    changed = dataclasses.replace(
+        frames, rigid=dict.fromkeys(frames.rigid, there), force=dict.fromkeys(frames.force, force)
+    )
+    (axes,) = (a for a in strip(changed, view).axes if 'force' in a.get_ylabel())
+    drawn = {line.get_label(): line.get_ydata()[-1] for line in axes.lines}
+    assert drawn['against the way, solver'] == drawn['against the way, prediction'] == 30
+    assert drawn['up, solver'] == 10
+
+
+def test_the_error_axis_shows_frames_that_are_exact(frames, view):
+    error = frames.soil_rms_mm[PREDICTION].copy()
+    error[:3] = 0.0, 1e-6, 1e-4
+    exact = dataclasses.replace(frames, soil_rms_mm=frames.soil_rms_mm | {PREDICTION: error})
+    (axes,) = (a for a in strip(exact, view).axes if a.get_yscale() == 'log')
+    shown = axes.lines[0].get_ydata()
+    assert axes.get_ylim()[0] < shown[0] == shown[2] < error[3:].min()
+    np.testing.assert_array_equal(shown[3:], error[3:])
 
 
 def test_soil_body_and_force_are_where_they_should_be(frames, view):

@@ -1,7 +1,9 @@
 """The demonstration: its table, and what it refuses."""
 
 import pathlib
+import types
 
+import numpy as np
 import pytest
 
 from pca_tools import dataset
@@ -31,3 +33,32 @@ def test_no_model_has_seen_the_runs_of_the_demo(scene):
     assert demo.CASES[scene] in [case['case'] for case in cases['test']]
     for preset in demo.MODELS:
         assert (ROOT / 'models' / scene / preset / 'config.json').exists()
+
+
+def test_a_soil_field_is_timed_where_forces_are_largest(monkeypatch):
+    """On a clock that each step turns on by a second, and particles by as much as the force."""
+    force = np.zeros((100, 3))
+    force[60:90, 0] = np.arange(30) + 1.0
+    clock = [0.0]
+
+    class Stepper:
+        def start(self, pose):
+            assert pose == 0
+
+        def step(self, pose, dt):
+            self.pose = pose
+            clock[0] += 1.0
+
+        def particles(self):
+            clock[0] += force[self.pose, 0]
+            return np.zeros((7, 3))
+
+    terrain = types.SimpleNamespace(clone=lambda: None)
+    rollout = types.SimpleNamespace(
+        force=force, pose=np.arange(100), before=terrain, tool=None, dt=1 / 60
+    )
+    model = types.SimpleNamespace(stepper=lambda terrain, tool: Stepper())
+    monkeypatch.setattr(demo.time, 'perf_counter', lambda: clock[0])
+    steps, wholes, count = demo.field_steps(model, rollout)
+    assert steps == [1.0] * demo.EVERY and count == 7
+    assert sorted(wholes) == [1.0 + f for f in range(31 - demo.EVERY, 31)]

@@ -176,6 +176,18 @@ def test_a_recorded_run_is_played_beside(browser, pages):
     np.testing.assert_allclose(np.reshape(maps, run.heights.shape), run.heights, atol=1e-4)
 
 
+def test_the_axis_of_forces_holds_the_band_of_the_bound(browser, pages):
+    rows = [
+        {'t': 0, 'force': [50, 10, 0], 'bound': 120, 'ghost': None},
+        {'t': 1, 'force': [60, 10, 0], 'bound': None, 'ghost': [0, 310, 0]},
+    ]
+    with opened(browser, pages / 'blade.html') as tab:
+        # Beyond training there is no bound; JSON has no word for infinity.
+        code = '(rows) => plotRange(rows.map((r) => ({...r, bound: r.bound ?? Infinity})))'
+        assert tab.evaluate(code, rows) == [-200, 400, 200]
+        assert tab.evaluate(code, rows[:1]) == [-200, 200, 100]
+
+
 def test_steering_recording_and_what_is_refused(browser, pages):
     with opened(browser, pages / 'blade.html') as tab:
         tab.evaluate('page.reset(); page.script = null')

@@ -33,16 +33,18 @@ def test_section_map_and_force_are_those_of_the_arrays():
     truth = {
         'ground_truth_heights': arrays()['predicted_heights'] - 0.01,
         'ground_truth_forces': np.tile([20.0, 5.0, 0], (9, 1)),
-        'kind': np.array('grid'),
+        'case': np.array('lift_0001'),
     }
-    figure = terrain_views.figure(arrays(**truth), [1, 2], 'cut', 50)
+    figure = terrain_views.figure(arrays(**truth), [1, 2], 50)
     points = np.zeros((3, 4, 3))
     truth |= {'predicted_particles': points, 'ground_truth_particles': points + 0.002}
-    figure = terrain_views.figure(arrays(**truth), [1, 2], 'cut', 50)
-    title = figure.get_suptitle()
-    assert '(kind grid)' in title and 'force off by 54 %, soil by 2 mm' in title
+    figure = terrain_views.figure(arrays(**truth), [1, 2], 50)
+    title = 'A blade of 30 cm width on the run lift_0001\nforce off by 54 %, soil by 2 mm'
+    assert figure.get_suptitle() == title
     names = [text.get_text() for text in figure.axes[-1].get_legend().get_texts()]
-    assert 'up, ground truth' in names and 'up, model' in names
+    assert names == [
+        f'{way}, {name}' for way in ('against the way', 'up') for name in ('solver', 'model')
+    ]
     side, plan, true_plan, last_side = figure.axes[:4]
     now, true, was = side.get_lines()
     u, heights = now.get_data()
@@ -64,13 +66,23 @@ def test_section_map_and_force_are_those_of_the_arrays():
     np.testing.assert_allclose([line.get_ydata()[0] for line in forces], [20, 30, 5, 10])
 
 
+def test_of_a_wheel_the_error_of_the_drawbar_is_first():
+    wheel = {'tool': np.array(json.dumps({'name': 'wheel', 'width': 0.1}))}
+    truth = {'ground_truth_forces': np.tile([20.0, 0, 0], (9, 1))}
+    title = terrain_views.figure(arrays(**wheel, **truth), [1], 50, 'mine').get_suptitle()
+    assert title == (
+        'mine: a wheel of 10 cm width on a given path\n'
+        'drawbar (force along the way) off by 50 %, whole force by 71 %'
+    )
+
+
 def test_of_a_large_terrain_what_lies_about_the_path_is_drawn():
     """The same picture where 5 m of terrain lie around the small one."""
     small = arrays()
     wide = np.pad(small['predicted_heights'], ((0, 0), (250, 250), (250, 250)), mode='edge')
     wide[:, 0, 0] = 5.0  # far away
     large = arrays(heights_before=wide[0], predicted_heights=wide, corner=np.array([-5.0, -5.0]))
-    figure = terrain_views.figure(large, [2], 'cut', 50)
+    figure = terrain_views.figure(large, [2], 50)
     _, plan = figure.axes[:2]
     x, z = plan.get_xlim(), plan.get_ylim()
     np.testing.assert_allclose([*x, *z], [-0.3, 1.5, -0.4, 1.0], atol=0.021)
@@ -84,14 +96,14 @@ def test_files_are_drawn_and_what_failed_is_said(tmp_path):
     files.write_npz(path, **arrays())
     assert render_rollout._is_on_terrain(path) and not render_rollout._is_on_terrain(__file__)
     for kind in ('png', 'gif'):
-        render_rollout.draw_terrain(files.read_npz(path), f'{path}.{kind}', 'cut')
+        render_rollout.draw_terrain(files.read_npz(path), f'{path}.{kind}')
         assert (tmp_path / f'rollout_test_0.npz.{kind}').stat().st_size > 1000
     with pytest.raises(ValueError, match='must end in .png, .gif or .mp4'):
-        render_rollout.draw_terrain(arrays(), f'{path}.vtp', 'cut')
+        render_rollout.draw_terrain(arrays(), f'{path}.vtp')
     none = arrays()
     failed = {'pose': none['pose'] * np.nan, 'status': np.array('non_finite'),
               'predicted_heights': none['predicted_heights'] * np.nan,
               'status_reason': np.array('refused: it jumps')}  # fmt: skip
-    figure = terrain_views.figure(none | failed, [0], 'cut', 50)
+    figure = terrain_views.figure(none | failed, [0], 50)
     texts = [text.get_text() for text in figure.axes[0].texts]
     assert texts == ['no prediction'] and 'refused: it jumps' in figure.get_suptitle()

@@ -1,10 +1,23 @@
 // A strip chart of the last seconds: curves with axes and units, on a canvas.
 const SECONDS = 8;
 const CURVES = [['against', '#b4632a', 0], ['up', '#33658a', 1], ['across', '#7a8b4f', 2]];
+const BOUNDED = CURVES.slice(0, 2);  // that have a band
 
 function niceStep(span, lines) {
   const raw = Math.max(span, 1e-9) / lines, ten = 10 ** Math.floor(Math.log10(raw));
   return ten * [1, 2, 5, 10].find((k) => k * ten >= raw);
+}
+
+// Lowest and highest value that the axis shows, and the step of its lines: of forces and bands.
+function plotRange(rows) {
+  let low = 0, high = 20;
+  for (const r of rows) {
+    const values = [...r.force, ...(r.ghost || [])];
+    if (isFinite(r.bound)) for (const [, , k] of BOUNDED) values.push(r.force[k] - r.bound, r.force[k] + r.bound);
+    low = Math.min(low, ...values); high = Math.max(high, ...values);
+  }
+  const step = niceStep(high - low, 4);
+  return [step * Math.floor(low / step), step * Math.ceil(high / step), step];
 }
 
 // Rows: {t, force [3], bound, ghost [3] or null}; unit N.
@@ -17,12 +30,7 @@ function drawPlot(canvas, rows) {
   c.clearRect(0, 0, w, h);
   c.font = '11px system-ui, sans-serif';
   const end = Math.max(SECONDS, rows.length ? rows[rows.length - 1].t : 0), begin = end - SECONDS;
-  let low = 0, high = 20;
-  for (const r of rows) for (const f of [r.force, r.ghost || r.force]) for (const v of f) {
-    low = Math.min(low, v); high = Math.max(high, v);
-  }
-  const step = niceStep(high - low, 4);
-  low = step * Math.floor(low / step); high = step * Math.ceil(high / step);
+  const [low, high, step] = plotRange(rows);
   const x = (t) => left + (t - begin) / SECONDS * (right - left);
   const y = (f) => bottom - (f - low) / (high - low) * (bottom - top);
   c.lineWidth = 1; c.fillStyle = '#857d72'; c.textAlign = 'right'; c.textBaseline = 'middle';
@@ -48,7 +56,7 @@ function drawPlot(canvas, rows) {
     c.stroke(); c.setLineDash([]);
   };
   if (rows.some((r) => isFinite(r.bound))) {
-    for (const [, colour, k] of CURVES.slice(0, 2)) {
+    for (const [, colour, k] of BOUNDED) {
       c.fillStyle = colour + '22'; c.beginPath();
       const known = rows.filter((r) => isFinite(r.bound));
       for (const r of known) c.lineTo(x(r.t), y(r.force[k] + r.bound));
