@@ -24,10 +24,11 @@ METRICS_FILE = 'metrics.json'
 
 class Evaluator:
     """Keeps the compiled rollouts of one model, so that evaluation during training compiles once.
-    Projection errors are used where the `metadata` of the dataset state them."""
+    Projection errors are used where the `metadata` of the dataset state them. `force_limit` is the
+    largest force of the training runs, N, or None if it is not known."""
 
-    def __init__(self, model: Model, metadata: dict):
-        self._model, self._metadata = model, metadata
+    def __init__(self, model: Model, metadata: dict, force_limit: float | None = None):
+        self._model, self._metadata, self._force_limit = model, metadata, force_limit
         self._functions = {}
 
     def roll_out(self, group):
@@ -36,7 +37,7 @@ class Evaluator:
         if key not in self._functions:
             layout = self._model.layout(group.n_rigid)
             self._functions[key] = RolloutFunction(self._model.simulator, layout)
-        return roll_out(self._functions[key], group)
+        return roll_out(self._functions[key], group, self._force_limit)
 
     def run(self, groups, split: str, progress=iter):
         """Rolls out every run of a list of `RunGroup` on its own; `progress` wraps the runs.

@@ -114,8 +114,9 @@ def rollout_inputs(group, layout: Layout, scene):
     return state, known, context, group.position.shape[1] - h
 
 
-def roll_out(function: RolloutFunction, group) -> Rollout:
-    """Rolls out all runs of a `RunGroup` from their first H frames.
+def roll_out(function: RolloutFunction, group, force_limit: float | None = None) -> Rollout:
+    """Rolls out all runs of a `RunGroup` from their first H frames; `force_limit` as of
+    `rollout_status.judge`.
 
     The first call of a function runs twice: once to compile and warm up, once for the clock.
     """
@@ -130,6 +131,6 @@ def roll_out(function: RolloutFunction, group) -> Rollout:
     seconds = time.perf_counter() - start
     position = np.moveaxis(offsets, 0, 1).astype(np.float64) + layout.origin
     force = None if force is None else np.moveaxis(force.numpy(), 0, 1)
-    simulator = function.simulator
-    judgements = judge(group, position, force, simulator.statistics, simulator.scene)
+    s = function.simulator
+    judgements = judge(group, position, force, s.statistics, s.scene, force_limit)
     return Rollout(position, force, judgements, seconds)

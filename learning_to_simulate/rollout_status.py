@@ -2,7 +2,7 @@
 numbers, and `NodeRanges`, which judges a frame of a model in a subspace.
 
 `judge` of these is the one place where a frame is held against the training runs; whole rollouts
-are a loop over it. `lts_status.c` and `lts_field_step.c` are their twins.
+are a loop over it. `lts_status.c` and `lts_soil_step.c` are their twins.
 """
 
 import enum
@@ -159,6 +159,7 @@ class NodeRanges:
       context: [4, C], likewise, or None.
       motion: the same of a given body, or None: [4, D] of its coordinates, its displacements, its
         extent, and [4, 1] of the root mean square of its displacement.
+      force: [4, 1] likewise of the size of the force, N, or None if its limit is not known.
     """
 
     def __init__(self, n_rigid: int, statistics, scene, force_limit: float | None = None):
@@ -169,7 +170,9 @@ class NodeRanges:
         extra = 1 + 2 * RANGE_MARGIN
         self.bounds = _limits(*statistics.position_range, BOUNDS_FACTOR)[:, node_class]  # type: ignore[call-arg]
         self.start_limits = _limits(*statistics.position_range, extra)[:, node_class]  # type: ignore[call-arg]
-        self._force_limit = np.inf if force_limit is None else BOUNDS_FACTOR * force_limit
+        self.force = None
+        if force_limit is not None:
+            self.force = np.array([[0.0], [BOUNDS_FACTOR * force_limit], [0.0], [force_limit]])
         self._driven = scene.rigid_motion == RigidMotion.DRIVEN
         self.context = self.motion = None
         if statistics.context_range is not None:
@@ -216,16 +219,18 @@ class NodeRanges:
         bad, left = RolloutStatus.NON_FINITE, RolloutStatus.LEFT_BOUNDS
         if not (finite := np.isfinite(position).all(axis=1)).all():
             return Judgement(bad, frame, int((~finite).argmax()), 'position is not finite')
-        size = 0.0 if force is None else float(np.dot(force, force)) ** 0.5
-        if not np.isfinite(size):
+        if force is not None and not np.isfinite(force).all():
             return Judgement(bad, frame, -1, 'force is not finite')
         n = self._first
         if found := _first_outside(left, position[n:], self.bounds[:, n:], frame, n):
             return found
-        if size <= self._force_limit:
+        if force is None or self.force is None:
+            return OK
+        size, most = float(np.linalg.norm(np.asarray(force, float))), self.force[1, 0]
+        if size <= most:
             return OK
         reason = f'force {size:.4g} N is above {BOUNDS_FACTOR:g} x the largest of training'
-        return Judgement(left, frame, -1, f'{reason} ({self._force_limit:.4g} N)')
+        return Judgement(left, frame, -1, f'{reason} ({most:.4g} N)')
 
     def _unlike_context(self, frame, context):
         if self.context is None or context is None:
@@ -267,11 +272,13 @@ def _first_outside(status, values, limits, frame, first_node=0, name='coordinate
     return Judgement(status, frame, node + first_node, reason)
 
 
-def judge(group, position, force, statistics, scene) -> list[Judgement]:
+def judge(
+    group, position, force, statistics, scene, force_limit: float | None = None
+) -> list[Judgement]:
     """The status of each rolled-out run of a `RunGroup` of S runs, whose first H frames, body and
     context were the inputs: of predicted frames float64 [S, T - H, V, D], m, and forces [S, T - H,
-    F], or None."""
-    ranges = NodeRanges(group.n_rigid, statistics, scene)
+    F], or None; `force_limit` as of `NodeRanges`."""
+    ranges = NodeRanges(group.n_rigid, statistics, scene, force_limit)
     return [
         _of_run(ranges, group, run, position[run], None if force is None else force[run])
         for run in range(len(position))

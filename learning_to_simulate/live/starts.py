@@ -81,9 +81,8 @@ def collect(data_path: str, nodes: dict) -> Starts:
         groups = reading_utils.read_groups(data_path, split, metadata, **nodes | {'modes': 0})
         cases = metadata.get('cases', {}).get(split, [])
         stated = [r.rigid_pose for r in dataset.read_split(data_path, split)]
-        forces = [g.force for g in groups if g.force is not None]
-        if split == 'train' and forces:
-            force_limit = float(max(np.linalg.norm(f, axis=-1).max() for f in forces))
+        if split == 'train':
+            force_limit = largest_force(groups)
         for group in groups:
             for run, record in enumerate(group.record):
                 case = _parameters(cases[record]) if record < len(cases) else {}
@@ -99,6 +98,12 @@ def collect(data_path: str, nodes: dict) -> Starts:
         None if contexts[0] is None else np.stack(contexts),
         force_limit,
     )
+
+
+def largest_force(groups) -> float | None:
+    """N, of the runs of a list of `RunGroup`; None where there is no force."""
+    forces = [g.force for g in groups if g.force is not None]
+    return max((float(np.linalg.norm(f, axis=-1).max()) for f in forces), default=None)
 
 
 def _parameters(case):
@@ -181,6 +186,15 @@ def read(model_path: str) -> tuple[Starts, Subspace | None]:
     starts = _parse(os.path.join(model_path, START_FILE))
     has_space = SUBSPACE_FILE in stored
     return starts, Subspace.load(os.path.join(model_path, SUBSPACE_FILE)) if has_space else None
+
+
+def read_force_limit(model_path: str) -> float | None:
+    """The largest force of the training runs of a model folder; None where there is no force, or
+    no file of starts. ValueError as `read`."""
+    try:
+        return read(model_path)[0].force_limit
+    except FileNotFoundError:
+        return None
 
 
 def _parse(path):

@@ -113,7 +113,8 @@ def _digest(values):
 _BOOLEANS = {
     'ok': 'nothing of the following has held since the start',
     'extrapolating': 'context, start, pose or speed lies outside the training runs',
-    'left_bounds': 'the soil left twice the hull of its training positions',
+    'left_bounds': 'the soil left twice the hull of its training positions, or the force is above '
+    'twice the largest of training',
     'non_finite': 'a position or force is not finite',
 }
 

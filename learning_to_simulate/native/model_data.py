@@ -48,7 +48,8 @@ def values(model, n_rigid: int, subspace=None, starts=None, rigid_correction: bo
       model: `subspace_model.Model`.
       n_rigid: R.
       subspace: `Subspace` that turns modes into particles, or None.
-      starts: `live.starts.Starts`, of which those with bodies of R particles are taken, or None.
+      starts: `live.starts.Starts`, of which those with bodies of R particles and the limit of the
+        force are taken, or None.
       rigid_correction: whether a predicted body is kept rigid.
 
     Raises:
@@ -94,11 +95,12 @@ def values(model, n_rigid: int, subspace=None, starts=None, rigid_correction: bo
         result[name] = getattr(s, name)
     if layout.contact is not None:
         result |= _contact(layout.contact)
-    ranges = NodeRanges(n_rigid, s, scene)
+    ranges = NodeRanges(n_rigid, s, scene, None if starts is None else starts.force_limit)
     result |= {
         'bounds': ranges.bounds,
         'start_range': ranges.start_limits,
         'context_range': ranges.context,
+        'force_range': ranges.force,
     }
     names = ('given_range', 'given_velocity_range', 'extent_range', 'speed_range')
     result |= dict(zip(names, ranges.motion or ()))

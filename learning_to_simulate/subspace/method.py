@@ -101,7 +101,7 @@ def train(data_path, model_path, config, options) -> dict:
     training = loop.Training(
         model=model,
         trainer=trainer,
-        evaluator=evaluation.Evaluator(model, metadata),
+        evaluator=evaluation.Evaluator(model, metadata, starts.largest_force(groups)),
         valid=valid,
         n_rigid=groups[0].n_rigid,
         data=checkpoints.data_record(data_path, metadata),
@@ -144,5 +144,6 @@ def open_model(model_path, data_path, split, overrides=None, raw_path=None) -> O
     groups = reading_utils.read_groups(data_path, split, metadata, **config.nodes)
     for group in groups:
         model.layout(group.n_rigid)
-    evaluator = evaluation.Evaluator(model, metadata)
+    force_limit = starts.read_force_limit(model_path)
+    evaluator = evaluation.Evaluator(model, metadata, force_limit)
     return OpenedModel(model, groups, metadata, evaluator, one_step_errors)

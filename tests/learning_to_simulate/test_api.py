@@ -134,6 +134,9 @@ def test_force_above_twice_the_largest_of_training_left_the_bounds(blade):
     found = ranges.judge(7, position, np.array([201.0, 0, 0]))
     assert found.status == RolloutStatus.LEFT_BOUNDS and 'force 201 N' in found.reason
     assert ranges.judge(7, position, np.array([np.nan, 0, 0])).status == 'non_finite'
+    # Finite, though its square is not.
+    found = ranges.judge(7, position, np.array([1e20, 0, 0], np.float32))
+    assert found.status == RolloutStatus.LEFT_BOUNDS and 'force 1e+20 N' in found.reason
 
 
 @pytest.mark.parametrize(

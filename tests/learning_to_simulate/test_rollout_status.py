@@ -6,7 +6,9 @@ import json
 import numpy as np
 import pytest
 
-from learning_to_simulate import evaluation
+from learning_to_simulate import evaluation, registry
+from learning_to_simulate.live import starts
+from learning_to_simulate.live.stepper import Stepper
 from learning_to_simulate.rollout_status import RolloutStatus, judge, widened
 from pca_tools import files
 from tests.learning_to_simulate import models
@@ -145,3 +147,24 @@ def test_status_reaches_metrics_table_and_rollout_files(made, tmp_path):
     for key in ('status', 'first_bad_frame', 'first_bad_node', 'status_reason'):
         assert arrays[key].item() == row[key]
     assert f'warning: record 0 is {row["status"]} from frame' in evaluation.table(summary)
+
+
+def test_force_above_its_limit_is_told_by_live_steps_and_evaluation(tmp_path):
+    """By the limit of the model folder: the same frame, node and words."""
+    path, data = models.saved(tmp_path)
+    own = f'{path}/{starts.START_FILE}'
+    files.write_npz(own, **files.read_npz(own) | {'force_limit': np.array(40.0)})
+    config = files.read_json(f'{path}/config.json')
+    config['files'][starts.START_FILE] = files.sha256_of_file(own)
+    files.write_json(f'{path}/config.json', config)
+    opened = registry.open_model(path, data, 'train')
+    one = opened.groups[0].select(0)
+    with models.eagerly():
+        (found,) = opened.evaluator.roll_out(one).judgements
+        stepper = Stepper(opened.model, starts.read(path)[0])
+        stepper.reset(one.position[0, :H])
+        for pose in one.position[0, H:, : one.n_rigid]:
+            frame = stepper.step(pose)
+    assert found.status is RolloutStatus.LEFT_BOUNDS
+    assert 'N is above 2 x the largest of training (80 N)' in found.reason
+    assert frame.judgement == found

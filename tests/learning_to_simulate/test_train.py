@@ -240,10 +240,11 @@ def test_impossible_settings_are_refused(preset, settings, message):
 
 def test_validation_rollout_that_blows_up_does_not_stop_training(data, tmp_path, monkeypatch):
     """Its errors have no number in the summary; the weights are saved all the same. It is judged on
-    valid runs, which are in no batch."""
-    trained_on = []
+    valid runs, which are in no batch, by the limit of the force that lies beside the weights."""
+    trained_on, limits = [], set()
 
     def blown_up(self, group):
+        limits.add(self._force_limit)
         nothing, status = np.full_like(group.position[:, 6:], np.nan), RolloutStatus.NON_FINITE
         return rollout.Rollout(nothing, group.force[:, 6:], [rollout.Judgement(status)], 1.0)
 
@@ -259,6 +260,8 @@ def test_validation_rollout_that_blows_up_does_not_stop_training(data, tmp_path,
     assert summary['mean']['model']['soil_mse'] is None
     subspace_model.load(str(tmp_path / 'model'))
     runs = dataset.read_split(data, 'train')
+    largest = max(np.linalg.norm(run.force, axis=1).max() for run in runs)
+    assert list(limits) == [pytest.approx(largest)]
     assert sum(len(group.position) for group in trained_on) == len(runs)
     for group in trained_on:
         for record, position in zip(group.record, group.position):

@@ -1,4 +1,4 @@
-"""The solver on stiff soil, extreme states and impossible steps. The table is in README.md."""
+"""The solver on stiff soil, extreme states and impossible steps."""
 
 import dataclasses
 import math

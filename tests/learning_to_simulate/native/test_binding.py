@@ -26,14 +26,15 @@ def shared(tmp_path_factory):
     return CSubspace.of(model, group.n_rigid, subspace=worlds.space()), model, group
 
 
-@pytest.mark.parametrize('motion', ['prescribed', 'driven'])
-def test_status_agrees_with_the_judgement_of_rollouts(tmp_path, motion):
-    """Starts, bodies and contexts inside and outside of training, of runs and of each frame alone:
-    kind, frame, node, and the reason in words."""
-    model, (group,), _ = models.make(tmp_path, motion=motion, context=True)
+@pytest.mark.parametrize('motion, limit', [('prescribed', 45.0), ('driven', 34.0)])
+def test_status_agrees_with_the_judgement_of_rollouts(tmp_path, motion, limit):
+    """Starts, bodies and contexts inside and outside of training, forces above and below twice the
+    limit, of runs and of each frame alone: kind, frame, node, and the reason in words."""
+    model, group, starts, _ = worlds.graph(tmp_path, motion=motion, context=True)
     n, s, c = group.n_rigid, model.simulator, library.constants()
-    stepper, seen, alone = CSubspace.of(model, n), set(), set()
-    ranges = NodeRanges(n, s.statistics, s.scene)
+    starts = dataclasses.replace(starts, force_limit=limit)
+    stepper, seen, alone, reasons = CSubspace.of(model, n, starts=starts), set(), set(), set()
+    ranges = NodeRanges(n, s.statistics, s.scene, limit)
     bits = [
         ('non_finite', c['LTS_NON_FINITE']),
         ('left_bounds', c['LTS_LEFT_BOUNDS']),
@@ -56,9 +57,12 @@ def test_status_agrees_with_the_judgement_of_rollouts(tmp_path, motion):
         frames = [stepper.step(pose) for pose in truth[H:, :n]]
         position = np.array([np.concatenate([f.rigid_pose, f.modes]) for f in frames])
         force = np.array([f.force for f in frames])
-        (expected,) = rollout_status.judge(run, position[None], force[None], s.statistics, s.scene)
+        (expected,) = rollout_status.judge(
+            run, position[None], force[None], s.statistics, s.scene, limit
+        )
         assert worlds.judged(stepper) == expected
         seen.add(expected.status)
+        reasons.add(expected.reason.partition(' ')[0])
         if ranges.start(truth[H - 1], context, None).reason.startswith(s.scene.context_names):
             continue  # a context is judged with the start, and not in each frame
         for k, frame in enumerate(frames, H):
@@ -66,7 +70,7 @@ def test_status_agrees_with_the_judgement_of_rollouts(tmp_path, motion):
             now = ranges.judge(k, position[k - H], frame.force, *body)
             assert next((kind for kind, bit in bits if frame.status & bit), 'ok') == now.status
             alone.add(now.status)
-    assert len(seen) == len(alone) == 4
+    assert len(seen) == len(alone) == 4 and {'force', 'coordinate'} <= reasons
 
 
 def test_prepare_save_and_clone_change_nothing(shared):

@@ -24,7 +24,7 @@
 extern "C" {
 #endif
 
-#define LTS_ABI 1
+#define LTS_ABI 2
 #define LTS_HISTORY 6 /* frames that a recorded start has */
 
 #if defined(_WIN32) && defined(LTS_SHARED)
@@ -60,7 +60,8 @@ enum {
   LTS_OUTSIDE_POSE = 4,    /* a given point, or the extent of the given body */
   LTS_OUTSIDE_SPEED = 8,   /* the displacement of a given point, or of the body, in the frame */
   LTS_EXTRAPOLATING = 15,
-  LTS_LEFT_BOUNDS = 16,    /* a predicted node left twice the hull of the training positions */
+  LTS_LEFT_BOUNDS = 16,    /* a predicted node left twice the hull of the training positions, or the
+                              force is above twice the largest of the training runs */
   LTS_NON_FINITE = 32      /* a position or force is infinite or not a number */
 };
 

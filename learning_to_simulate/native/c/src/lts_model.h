@@ -78,9 +78,10 @@ struct lts_model {
   const double *place_heights;            /* [P] m, at the modes' origin */
   const double *place_weights;            /* [P][r][3] */
   /* Least and most that is well, then the range of training: of nodes [4][V][3], of the given motion
-   * [4][3] or [4][1], context [4][C]. */
+   * [4][3] or [4][1], context [4][C], size of the force [4][1] (null: no limit is known). */
   const double *bounds, *start_range;
   const double *given_range, *given_velocity_range, *extent_range, *speed_range, *context_range;
+  const double *force_range;
   /* Graph: edges sorted by how long they are needed. */
   int32_t n_edge, latent, n_feature, n_step;
   const int32_t *senders, *receivers;        /* [E] */

@@ -116,6 +116,10 @@ int lts_check_predicted(lts_instance *soil, int frame) {
   for (int axis = 0; axis < 3; ++axis) {
     if (!isfinite(force[axis])) bits |= not_finite(soil, frame, -1, axis, force[axis]);
   }
+  if (m->force_range) {
+    const double size = sqrt(force[0] * force[0] + force[1] * force[1] + force[2] * force[2]);
+    bits |= outside(soil, LTS_LEFT_BOUNDS, frame, -1, -1, size, m->force_range, 0, 1);
+  }
   return bits;
 }
 
@@ -144,6 +148,9 @@ int lts_reason(const lts_instance *soil, char *text, size_t size) {
   if (found.status == LTS_OUTSIDE_CONTEXT) {
     lts_name_of(soil->model->context_names, found.axis, name, sizeof name);
     lts_say(&found, name, text, size);
+  } else if (found.status == LTS_LEFT_BOUNDS && found.node < 0) {
+    snprintf(text, size, "force %.4g N is above 2 x the largest of training (%.4g N)", found.value,
+             2.0 * found.high);
   } else if (found.status == LTS_NON_FINITE) {
     lts_say(&found, found.node >= 0 ? "position" : "force", text, size);
   } else {
