@@ -10,7 +10,7 @@ import shutil
 from learning_to_simulate.native import c_values, library
 from learning_to_simulate.native.model_data import MOTIONS
 
-VERSION = '2.0.0'  # of the C interface; its first number is LTS_ABI
+VERSION = '1.0.0'  # of the C interface; its first number is LTS_ABI
 # Template in c/ -> file of the project, of all models, of those in a subspace, of soil fields;
 # @NAME@ is the model's.
 _TEMPLATES = {

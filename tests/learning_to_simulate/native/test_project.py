@@ -80,7 +80,7 @@ def test_cmake_builds_installs_and_is_found(small, tmp_path):
     )
     (user / 'CMakeLists.txt').write_text(
         'cmake_minimum_required(VERSION 3.16)\nproject(user C)\n'
-        'find_package(lts_small 2.0 REQUIRED)\nadd_executable(main main.c)\n'
+        'find_package(lts_small 1.0 REQUIRED)\nadd_executable(main main.c)\n'
         'target_link_libraries(main lts_small::shared)\n'
     )
     _run(['cmake', '-S', user, '-B', user / 'b', f'-DCMAKE_PREFIX_PATH={prefix}'])

@@ -24,7 +24,7 @@
 extern "C" {
 #endif
 
-#define LTS_ABI 2
+#define LTS_ABI 1
 #define LTS_HISTORY 6 /* frames that a recorded start has */
 
 #if defined(_WIN32) && defined(LTS_SHARED)
