@@ -10,6 +10,7 @@ map of heights (`pca_tools.heights`), as whole steps from `rest`: most soil rest
 
 from __future__ import annotations
 
+import abc
 import lzma
 import math
 import os
@@ -222,9 +223,9 @@ class PackedRuns(Sequence):
         ):
             raise ValueError(f'{path}: is not a {self.TITLE}: its arrays do not fit each other')
 
+    @abc.abstractmethod
     def _fits(self) -> bool:
         """Whether the arrays of `KINDS` have possible shapes and values."""
-        raise NotImplementedError
 
     def __len__(self) -> int:
         return len(self._frames)

@@ -173,28 +173,31 @@ def write(model_path: str, data_path: str, nodes: dict) -> dict[str, str]:
 def read(model_path: str) -> tuple[Starts, Subspace | None]:
     """The starts and the subspace of a self-contained model folder. FileNotFoundError: it holds no
     starts. ValueError: a file is damaged or is not the one of this model."""
-    stored = checkpoints.read_config(model_path).get('files')
-    if not isinstance(stored, dict) or START_FILE not in stored:
+    starts, space = (_checked(model_path, name) for name in (START_FILE, SUBSPACE_FILE))
+    if starts is None:
         raise FileNotFoundError(
             f'{model_path}: holds no {START_FILE}: poses and beds to start from come with a '
             f'training; train the model again'
         )
-    for name in (START_FILE, SUBSPACE_FILE):
-        path = os.path.join(model_path, name)
-        if name in stored and files.sha256_of_file(path) != stored[name]:
-            raise ValueError(f'{path}: is not the file of this model (sha256 differs)')
-    starts = _parse(os.path.join(model_path, START_FILE))
-    has_space = SUBSPACE_FILE in stored
-    return starts, Subspace.load(os.path.join(model_path, SUBSPACE_FILE)) if has_space else None
+    return _parse(starts), None if space is None else Subspace.load(space)
 
 
 def read_force_limit(model_path: str) -> float | None:
-    """The largest force of the training runs of a model folder; None where there is no force, or
-    no file of starts. ValueError as `read`."""
-    try:
-        return read(model_path)[0].force_limit
-    except FileNotFoundError:
+    """The largest force of the training runs of a model folder, N; None where there is no force, or
+    no file of starts. ValueError: that is damaged or is not the one of this model."""
+    starts = _checked(model_path, START_FILE)
+    return None if starts is None else _parse(starts).force_limit
+
+
+def _checked(model_path, name):
+    """The path of a file that came with a model, or None; ValueError for another file."""
+    stored = checkpoints.read_config(model_path).get('files')
+    if not isinstance(stored, dict) or name not in stored:
         return None
+    path = os.path.join(model_path, name)
+    if files.sha256_of_file(path) != stored[name]:
+        raise ValueError(f'{path}: is not the file of this model (sha256 differs)')
+    return path
 
 
 def _parse(path):

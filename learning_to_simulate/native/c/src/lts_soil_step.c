@@ -118,9 +118,11 @@ static void find_judged(const lts_soil *soil, const lts_passage *p, const lts_po
     values[i] = most;
   }
   values[LTS_SOIL_JUDGED_SPEED] = (float)p->s.speed; /* of scalars at most what was taught */
-  find_conditions(soil, p, pose, values + m->n_named + N_GROUND);
   const int touches = find_ground(soil, p, fmax(values[1], values[2]), values + m->n_named);
-  if (bears < 0 ? touches : bears) return;
+  if (bears < 0 ? touches : bears) {
+    find_conditions(soil, p, pose, values + m->n_named + N_GROUND);
+    return;
+  }
   for (int i = 0; i < m->n_judged; ++i) {
     if (i < 4 || i >= m->n_named) values[i] = m->middle[i];
   }
