@@ -57,6 +57,13 @@ def import_data(
         raise ValueError(formats.NO_IMPORT[kind].format(folder=folder))
     name = name or os.path.basename(os.path.abspath(folder))
     if kind == formats.AUTHORS:
+        given = {'dt': dt, 'length_scale': length_scale, 'force_scale': force_scale}
+        usual = {'dt': None, 'length_scale': 1.0, 'force_scale': 1.0}
+        if other := [f'--{name}={value}' for name, value in given.items() if value != usual[name]]:
+            raise ValueError(
+                f'{folder}: its scores and forces are kept as they are, with their dt: leave out '
+                f'{", ".join(other)}'
+            )
         return _import_authors(folder, output_path, name, body, 1 if up_axis is None else up_axis)
     data = formats.FORMATS[kind].read(folder, dt)
     body = body or full_space.body_motion(data)

@@ -391,6 +391,16 @@ def test_the_authors_folder_becomes_a_dataset(original, tmp_path):
             np.testing.assert_array_equal(run.force, wanted.force)
 
 
+@pytest.mark.parametrize('other', [{'dt': 0.1}, {'length_scale': 1e-3, 'force_scale': 2.0}])
+def test_the_authors_scores_take_no_other_units(tmp_path, other):
+    files.write_json(str(tmp_path / 'metadata.json'), {'mode_number': 8})
+    (tmp_path / 'train.tfrecord').touch()
+    with pytest.raises(ValueError, match='leave out --') as error:
+        import_data(str(tmp_path), str(tmp_path / 'out'), **other)
+    assert all(f'--{name}={value}' in str(error.value) for name, value in other.items())
+    assert not (tmp_path / 'out').exists()
+
+
 def test_runs_of_different_lengths_only_go_where_they_fit(tmp_path):
     def change(case, arrays):
         for name in ('positions', 'rigid_positions', 'force', 'pose'):
