@@ -135,7 +135,7 @@ def roll_out(stepper, path, velocity=None, case=None, context=None) -> SoilRollo
     if velocity is None:
         velocity = velocity_between(values[0], values[1], scene.dt)
     stepper.start(values[0], velocity, case, context)
-    start = stepper.state.start
+    start = stepper.start_of_run
     known = scene.rigid_motion.is_known
     frames = [
         stepper.step(pose if known else None, now)

@@ -11,6 +11,7 @@ frame and in all that follow. After the first call nothing is compiled any more.
 """
 
 import contextlib
+import copy
 import threading
 from typing import Any, NamedTuple
 
@@ -81,15 +82,14 @@ class Frame(NamedTuple):
         return self.soil.height_map(nx, nz)
 
 
-class StepperState(NamedTuple):
-    """All that a stepper knows; what is kept can be put back. `body` [R, D] is that of the newest
-    frame, where it is given, `of_step` what its step knows."""
+class _Run(NamedTuple):
+    """Where a stepper is: its `Start`, newest frame, frames since, and the body [R, D] of the
+    newest, where it is given."""
 
     start: Any
     frame: Frame
     count: int
     body: Any
-    of_step: Any
 
 
 class Stepper:
@@ -125,15 +125,15 @@ class Stepper:
             self._decoder = Decoder(model.fitting_subspace(subspace), self.scene.up_axis)
         self._lock = threading.Lock()
         self._sizes: dict[int, tuple] = {}  # R -> step and ranges
-        self._run: StepperState | None = None  # but for what its step knows
+        self._run: _Run | None = None
         self._allowed = {n_rigid} if starts is None else {len(kept) for kept in starts.kept}
-        # Compiles now and not in the first frame.
-        self._now, self._ranges = self._of_size(len(starts.kept[0]) if n_rigid is None else n_rigid)
+        self._size = len(starts.kept[0]) if n_rigid is None else n_rigid
+        self._of_size(self._size)  # compiles now and not in the first frame
 
     @property
     def computing(self):
         """The step of the run, or before the start of the first size; for comparisons."""
-        return self._now
+        return self._sizes[self._size][0]
 
     @property
     def dt(self) -> float:
@@ -153,8 +153,18 @@ class Stepper:
             self._sizes[n_rigid] = step, ranges
         return self._sizes[n_rigid]
 
-    def start(self, pose=None, velocity=None, case=None, context=None) -> Judgement:
-        """Begins where the body is; returns how the start is to be judged.
+    @property
+    def frame(self) -> Frame:
+        """The newest; ValueError before the start."""
+        return self._begun().frame
+
+    @property
+    def start_of_run(self) -> Any:
+        """The `starts.Start` or `RecordedStart` of the run; ValueError before it."""
+        return self._begun().start
+
+    def start(self, pose=None, velocity=None, case=None, context=None) -> Frame:
+        """Begins where the body is; returns that frame, without force.
 
         Args:
           pose: of the body now (see `poses`); None for that of the case.
@@ -173,7 +183,7 @@ class Stepper:
             start.pose.setflags(write=False)
             return self._begin(start)
 
-    def reset(self, history, context=None) -> Judgement:
+    def reset(self, history, context=None) -> Frame:
         """Starts from the last H frames, the body told by its particles; `step` then takes those.
 
         Args:
@@ -207,12 +217,12 @@ class Stepper:
         else:  # the frames before the newest one are made up
             before = history[-2, :n] if start.velocity.any() else None
             judgement = ranges.start(history[-1], start.context, before)
-        self._now, self._ranges, body = step, ranges, history[-1, :n]
+        self._size, body = n, history[-1, :n]
         force = self._by_body(np.zeros(self._model.simulator.force_size, np.float32))
         soil = Soil(history[-1, n:], self._decoder)
         frame = Frame(judgement, soil, body, start.pose, force, judgement)
-        self._run = StepperState(start, frame, 0, body, None)
-        return judgement
+        self._run = _Run(start, frame, 0, body)
+        return frame
 
     def step(self, pose=None, context=None, dt: float | None = None) -> Frame:
         """Predicts the frame in which the body reaches a pose.
@@ -232,44 +242,55 @@ class Stepper:
           RuntimeError: another thread is at work here.
         """
         with _held(self._lock):
-            run, scene = self._begun(), self.scene
-            last, start = run.frame, run.start
-            if context is not None:
-                context = read_context(scene, context)
-            if pose is not None:
-                pose = start.read(pose)
-            if scene.rigid_motion.is_known != (pose is not None):
-                takes = 'takes' if pose is None else 'does not take'
-                raise ValueError(f'the body is {scene.rigid_motion}: step() {takes} a pose')
-            if dt is not None and abs(dt - scene.dt) > 1e-6 * scene.dt:
-                raise ValueError(
-                    f'dt is {dt} s: a frame of the model is {scene.dt:.6g} s and cannot be '
-                    f'divided; hold the last frame in between'
-                )
-            body = None if pose is None else start.nodes(pose)
-            moved = None if body is None else body - run.body
-            position, flat = self._now.propose(body, moved, context)
-            number, n = H + run.count, len(start.kept)
-            alone = self._ranges.judge(number, position, flat, body, run.body, context)
-            so_far = worse(last.judgement, alone)
-            if alone.status != RolloutStatus.OK and self._outside != FLAG:
-                if self._outside == RAISE:
-                    raise ValueError(f'{alone.status}: {alone.reason}; the state stays as it was')
-                held = last._replace(judgement=so_far)
-                self._run = run._replace(frame=held)
-                return held._replace(now=alone)
-            force = self._by_body(flat)
-            for values in (position, force):
-                if values is not None:
-                    values.setflags(write=False)
-            soil, at = Soil(position[n:], self._decoder), self._pose(start, pose, position[:n])
-            frame = Frame(so_far, soil, position[:n], at, force, alone)
+            frame, body = self._proposed(pose, context, dt)
+            run, alone = self._begun(), frame.now
+            before = run.frame._replace(judgement=frame.judgement)
+            if alone.status != RolloutStatus.OK and self._outside == RAISE:
+                raise ValueError(f'{alone.status}: {alone.reason}; the state stays as it was')
+            if alone.status != RolloutStatus.OK and self._outside == HOLD:
+                self._run = run._replace(frame=before)
+                return before._replace(now=alone)
             if alone.status == RolloutStatus.NON_FINITE:
-                self._run = run._replace(frame=last._replace(judgement=so_far))
+                self._run = run._replace(frame=before)
                 return frame
-            self._now.accept()
-            self._run = StepperState(start, frame, run.count + 1, body, None)
+            self.computing.accept()
+            self._run = _Run(run.start, frame, run.count + 1, body)
             return frame
+
+    def propose(self, pose=None, context=None, dt: float | None = None) -> Frame:
+        """The frame of `step`, flagged where it is not `ok`; nothing changes. Raises as `step`."""
+        with _held(self._lock):
+            return self._proposed(pose, context, dt)[0]
+
+    def _proposed(self, pose, context, dt):
+        """The coming frame, and the body [R, D] in it where it is given."""
+        run, scene = self._begun(), self.scene
+        start = run.start
+        if context is not None:
+            context = read_context(scene, context)
+        if pose is not None:
+            pose = start.read(pose)
+        if scene.rigid_motion.is_known != (pose is not None):
+            takes = 'takes' if pose is None else 'does not take'
+            raise ValueError(f'the body is {scene.rigid_motion}: step() {takes} a pose')
+        if dt is not None and abs(dt - scene.dt) > 1e-6 * scene.dt:
+            raise ValueError(
+                f'dt is {dt} s: a frame of the model is {scene.dt:.6g} s and cannot be '
+                f'divided; hold the last frame in between'
+            )
+        body = None if pose is None else start.nodes(pose)
+        moved = None if body is None else body - run.body
+        step, ranges = self._sizes[self._size]
+        position, flat = step.propose(body, moved, context)
+        n = len(start.kept)
+        alone = ranges.judge(H + run.count, position, flat, body, run.body, context)
+        force = self._by_body(flat)
+        for values in (position, force):
+            if values is not None:
+                values.setflags(write=False)
+        soil, at = Soil(position[n:], self._decoder), self._pose(start, pose, position[:n])
+        so_far = worse(run.frame.judgement, alone)
+        return Frame(so_far, soil, position[:n], at, force, alone), body
 
     def _by_body(self, force):
         """The force [F] as [D], or on several bodies [B, D]; None where there is none."""
@@ -293,25 +314,20 @@ class Stepper:
         coming.setflags(write=False)
         return coming
 
-    @property
-    def state(self) -> StepperState:
-        """What is kept can be put back, and goes on from there to the same bits; ValueError before
-        `start`."""
-        return self._begun()._replace(of_step=self._now.state)
-
-    @state.setter
-    def state(self, state: StepperState) -> None:
+    def clone(self) -> 'Stepper':
+        """A stepper of its own at the same point; both go on to the same bits."""
         with _held(self._lock):
-            self._now, self._ranges = self._of_size(len(state.start.kept))
-            self._now.state = state.of_step
-            self._run = state
+            other = copy.copy(self)
+            other._lock = threading.Lock()
+            other._sizes = {n: (step.clone(), ranges) for n, (step, ranges) in self._sizes.items()}
+            return other
 
     def particles(self) -> np.ndarray:
         """float32 [N, 3] of the soil in the newest frame, or at the start, m; ValueError without a
         subspace."""
-        return self._begun().frame.particles()
+        return self.frame.particles()
 
-    def _begun(self) -> StepperState:
+    def _begun(self) -> _Run:
         if self._run is None:
             raise ValueError('call start() first')
         return self._run

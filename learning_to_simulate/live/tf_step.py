@@ -1,5 +1,6 @@
 """`TfStep`: the frames of a `Stepper` by TensorFlow."""
 
+import copy
 from typing import Any
 
 import numpy as np
@@ -90,14 +91,9 @@ class TfStep:
         self._state, self._context = self._proposed
         self._memory = self._coming
 
-    @property
-    def state(self) -> tuple:
-        """All that the coming frames follow from; can be put back."""
-        return self._state, self._context, self._memory, self._shape, self._start
-
-    @state.setter
-    def state(self, state: tuple) -> None:
-        self._state, self._context, self._memory, self._shape, self._start = state
+    def clone(self) -> 'TfStep':
+        """Another run at the same point, by the same compiled function."""
+        return copy.copy(self)
 
     def _compute(self, state, known, context, shape):
         return corrected_step(self._simulator, self._layout, state, known, context, shape)

@@ -74,14 +74,11 @@ class CStep(CSubspace):
     def accept(self) -> None:
         self._is_proposed = False
 
-    @property
-    def state(self) -> bytes:
-        return (self._before if self._is_proposed and self._before else self).save()
-
-    @state.setter
-    def state(self, state: bytes) -> None:
-        self.load_state(state)
-        self._is_proposed = False
+    def clone(self) -> 'CStep':
+        """As of `TfStep`."""
+        other = self.another()
+        other.copy_state(self._before if self._is_proposed and self._before else self)
+        return other
 
 
 def by_c(model, starts, subspace, make=CStep.of, **options) -> Stepper:

@@ -176,7 +176,7 @@ def over_frames(ours: Stepper, theirs: Stepper, group, limit: int | None = None)
     truth, n = group.position[0], group.n_rigid
     for stepper in (ours, theirs):
         stepper.reset(truth[:H], group.context_at(H, 0))
-    known, first = theirs.scene.rigid_motion.is_known, theirs.state.frame
+    known, first = theirs.scene.rigid_motion.is_known, theirs.frame
     frames = range(H, len(truth))[:limit]
     every = max(1, len(frames) // PARTICLE_FRAMES)
     apart = dict.fromkeys(('position', 'force', 'particles'), 0.0)

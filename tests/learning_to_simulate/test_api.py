@@ -167,12 +167,12 @@ def test_frames_cannot_be_written_to_and_one_thread_at_a_time(blade):
                    at_rest.modes, at_rest.body[0]):  # fmt: skip
         with pytest.raises(ValueError, match='read-only'):
             values[:] = 0
-    kept = live.state
     with live._lock:  # as while another thread is at work
         for call in (
             lambda: live.step(path[2]),
             lambda: live.start(path[0]),
-            lambda: setattr(live, 'state', kept),
+            lambda: live.propose(path[2]),
+            live.clone,
         ):
             with pytest.raises(RuntimeError, match='another thread'):
                 call()

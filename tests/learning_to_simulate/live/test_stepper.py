@@ -107,7 +107,7 @@ def test_a_thousand_steps_trace_nothing_and_keep_no_memory(made, steppers, kind)
 
 
 @pytest.mark.parametrize('kind', KINDS)
-def test_what_is_refused_held_or_put_back_leaves_no_trace(made, steppers, kind):
+def test_what_is_refused_held_proposed_or_cloned_leaves_no_trace(made, steppers, kind):
     stepper, group = steppers(kind), made[1]
     n, position = group.n_rigid, group.position[0]
     _reset(stepper, group)
@@ -116,7 +116,7 @@ def test_what_is_refused_held_or_put_back_leaves_no_trace(made, steppers, kind):
     not_finite[2, 1] = np.nan
     _reset(stepper, group)
     for k, pose in enumerate(position[H : H + 12, :n]):
-        state = stepper.state
+        kept = stepper.clone()
         for bad, message in (
             (None, 'takes a pose'),
             (position[H, : n - 1], r'shape \(3, 3\), must be \(4, 3\)'),
@@ -127,9 +127,15 @@ def test_what_is_refused_held_or_put_back_leaves_no_trace(made, steppers, kind):
                 stepper.step(bad)
         # A frame that is not finite is told and never becomes the state.
         assert stepper.step(pose + 1e37).now.status == RolloutStatus.NON_FINITE
-        if k % 3 == 0:  # a detour, and back
+        if k % 3 == 0:  # a detour of one of them
             stepper.step(pose + 0.01)
-            stepper.state = state
+            stepper = kept
+        stepper.propose(pose + 0.01)
+        if k % 2:  # a clone knows nothing of what was proposed
+            stepper = stepper.clone()
+        seen = stepper.propose(pose)
+        assert stepper.frame.modes is not seen.modes
+        np.testing.assert_array_equal(seen.modes, plain[k])
         np.testing.assert_array_equal(stepper.step(pose).modes, plain[k])
     for bad in (position[: H - 1], position[:H, 1:], np.full_like(position[:H], np.inf)):
         with pytest.raises(ValueError, match='history'):
@@ -169,8 +175,10 @@ def test_a_subspace_of_other_modes_or_particles_is_refused(made):
 def test_before_the_start_nothing_is_answered(made, steppers):
     compiled = steppers('tensorflow').computing
     stepper = Stepper(made[0], n_rigid=made[1].n_rigid, make_step=lambda *_: compiled)
-    for call in (lambda: stepper.step(np.zeros(7)), stepper.particles):
+    nothing = np.zeros(7)
+    calls = stepper.step, stepper.propose, lambda _: stepper.particles(), lambda _: stepper.frame
+    for call in calls:
         with pytest.raises(ValueError, match='start'):
-            call()
+            call(nothing)
     with pytest.raises(ValueError, match="engine is 'gpu'"):
         models.stepper(made[0], made[1].n_rigid, kind='gpu')
