@@ -14,7 +14,7 @@ part by part in this order, so that what teaches most is there first:
     beside            60 paths beside an earlier pass
     soils             60 paths in other soils
     tools             60 paths with other blades and with buckets
-    trench            20 long cuts
+    trench            30 long cuts
     spread            60 cuts whose heap is spread
     backdrag          60 cuts whose heap is drawn back
     excavation_grid   40 of the 250 published cases

@@ -107,8 +107,8 @@ EXCAVATION = Scene(
     published=(186, 146, 123, 213, 22, 99, 78, 118, 216, 231, 188),
     demo_case=125,
     bin=_blade_bin(0.8, 0.6),
-    # Neighbouring cuts and wide tools; a long cut.
-    other_bins={'wide': _blade_bin(0.8, 1.2), 'long': _blade_bin(2.0, 0.6)},
+    # Neighbouring cuts and wide tools; a long cut, whose heap must not reach the walls beside it.
+    other_bins={'wide': _blade_bin(0.8, 1.2), 'long': _blade_bin(2.0, 1.0)},
 )
 
 WHEEL = Scene(

@@ -20,7 +20,7 @@ RUNS = {
         **dict.fromkeys(('smooth', 'stops', 'reverse', 'lift', 'disturbed', 'halts'), 34),
         **dict.fromkeys(('press', 'free', 'actuated'), 30),
         **dict.fromkeys(('beside', 'soils', 'tools'), 60),
-        'trench': 20,
+        'trench': 30,
         'spread': 60,
         'backdrag': 60,
     },

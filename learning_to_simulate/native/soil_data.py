@@ -27,7 +27,7 @@ _BITS = {
     ),
     'LTS_OUTSIDE_START': (
         'bed_low', 'bed_high', 'uneven', 'wall', 'beyond_map', 'thin_soil', 'other_tool', 'cell',
-        'crossfall',
+        'crossfall', 'slope',
     ),
     'LTS_OUTSIDE_SPEED': ('speed', 'along'),
 }  # fmt: skip

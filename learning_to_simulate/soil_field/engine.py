@@ -204,7 +204,8 @@ class TfEngine:
         found = [place.local(pose[:3])[2], max(beyond, 0.0),
                  max(passage.scale * self._tool.least_soil - over_floor, 0.0), max([0.0, *others]),
                  t.cell.max()]  # fmt: skip
-        return np.array([yaw, roll, *np.array(found) / passage.scale, passage.crossfall])
+        of_ground = passage.crossfall, passage.slope
+        return np.array([yaw, roll, *np.array(found) / passage.scale, *of_ground])
 
     def _seen(self, passage, pose, before):
         frame = passage.frame

@@ -23,7 +23,7 @@ MARGIN = 0.05
 # Yaw and roll, rad; all others in m of the field: distance of the tool from the plane of its
 # passage; how far its ends stand out of the map; what is missing of the tool's `least_soil` between
 # it and the floor; by how much another tool is nearer than `APART`; the side of a cell, at most the
-# tool's `largest_cell`; `Passage.crossfall`.
+# tool's `largest_cell`; `Passage.crossfall`; and, of no unit, `Passage.slope`.
 CONDITIONS = {
     'yaw': (-0.035, 0.035),
     'roll': (-0.035, 0.035),
@@ -33,6 +33,7 @@ CONDITIONS = {
     'other_tool': (0.0, 0.0),
     'cell': (0.0, np.nan),
     'crossfall': (0.0, 0.004),
+    'slope': (-0.09, 0.09),
 }
 APART = 0.1
 # Numbers of a frame that are judged: scalars, and what follows from bins about the tool, from how

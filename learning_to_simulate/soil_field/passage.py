@@ -134,6 +134,13 @@ class Passage:
         slope = (weight * z) @ self._before / self.scale / max((weight * z) @ z, 1e-6 * total)
         return float(abs(slope)) * width
 
+    @property
+    def slope(self) -> float:
+        """Of the terrain before the tool along the way: of the line a + b u that fits the mean of
+        the strips under it best over all bins, b."""
+        u = sweep.GRID.offsets - sweep.GRID.offsets.mean()
+        return float(u @ self.state.surface[self.strips.under].mean(axis=0) / (u @ u))
+
     def _is_even(self, u):
         """Whether all strips are equal at places u [k]."""
         strips = strips_lib.strips_of(self.tool)

@@ -336,6 +336,20 @@ def test_a_slope_across_a_wheel_is_flagged(fall, is_known):
     assert is_known or tool.frame.now.reason.startswith(f'crossfall {fall * 0.1:.3g} is outside')
 
 
+@pytest.mark.parametrize('engine', ['c', 'tensorflow'])
+@pytest.mark.parametrize('slope, is_known', [(0.08, True), (0.1, False), (-0.1, False)])
+def test_a_slope_along_the_way_of_a_blade_is_flagged(slope, is_known, engine):
+    """No run was taught one; the way goes to -x."""
+    soil = ground()
+    soil.heights[:] = -slope * soil.middles[0][:, None]
+    path = way('excavation', 40)
+    path[:, 1] += slope * path[:, 0]
+    tool = model('excavation').stepper(soil, TOOLS['excavation'], engine=engine)
+    go(tool, poses(path), 0.1)
+    assert (tool.frame.now.status == 'ok') == is_known
+    assert is_known or tool.frame.now.reason.startswith(f'slope {slope} is outside')
+
+
 @pytest.mark.parametrize(
     'blade, is_known',
     [

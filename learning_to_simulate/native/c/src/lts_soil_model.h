@@ -22,7 +22,7 @@ enum {
 #define LTS_SOIL_CHANNELS 7
 #define LTS_SOIL_UNDER_ALONG 11 /* places at which soil is looked for that has risen under a tool in the air */
 #define LTS_SOIL_UNDER_ACROSS 5
-#define LTS_SOIL_CONDITIONS 8   /* the last of what is judged */
+#define LTS_SOIL_CONDITIONS 9   /* the last of what is judged */
 #define LTS_SOIL_JUDGED_SPEED 3 /* the number of the speed among what is judged */
 
 /* Scalars of a frame that come from the path; then memories [LTS_SOIL_MEMORIES][LTS_SOIL_MOTIONS], those of the

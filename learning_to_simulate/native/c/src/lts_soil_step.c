@@ -74,6 +74,22 @@ static double crossfall_of(const lts_soil *soil, const lts_passage *p) {
   return fabs(zh - z / sum * h) / soil->scale / fmax(zz - z / sum * z, 1e-6 * sum) * soil->width;
 }
 
+/* `Passage.slope`: of the line through the mean of the strips under the tool, along all bins. */
+static double slope_of(const lts_soil *soil, const lts_passage *p) {
+  const lts_soil_model *m = soil->model;
+  const int is_one = p->s.n_strip == 1, first = is_one ? 0 : m->n_beside, count = is_one ? 1 : m->n_column;
+  const double middle = (lts_soil_offset(m, 0) + lts_soil_offset(m, m->n_bin - 1)) / 2.0;
+  double uh = 0.0, uu = 0.0;
+  for (int k = 0; k < m->n_bin; ++k) {
+    const double u = lts_soil_offset(m, k) - middle;
+    double height = 0.0;
+    for (int j = first; j < first + count; ++j) height += p->surface[LTS_SOIL_ROW(soil, j) + (size_t)k];
+    uh += u * height / count;
+    uu += u * u;
+  }
+  return uh / uu;
+}
+
 /* What no network sees: `CONDITIONS` of field.py. */
 static void find_conditions(const lts_soil *soil, const lts_passage *p, const lts_pose *pose,
                             double found[LTS_SOIL_CONDITIONS]) {
@@ -101,6 +117,7 @@ static void find_conditions(const lts_soil *soil, const lts_passage *p, const lt
   found[5] = near / soil->scale;
   found[6] = fmax(t->cell[0], t->cell[1]) / soil->scale;
   found[7] = crossfall_of(soil, p);
+  found[8] = slope_of(soil, p);
 }
 
 /* Scalars, ground and conditions [n_judged]; in the air all is free but what the tool is. bears: whether soil acts on
