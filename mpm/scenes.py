@@ -88,10 +88,10 @@ def sampled(
     return Bin(size, dx, dz, lattice, keep_every, height, bounds)
 
 
-def _blade_bin(length: float, width: float) -> Bin:
-    # 31 has no factor in common with the sides of the lattices: what is written lies in all planes.
+def _blade_bin(length: float, width: float, keep_every: int = 31) -> Bin:
+    # It has no factor in common with the sides of the lattices: what is written lies in all planes.
     high = ((0.0, length + 0.4), (0.0, 0.8), (0.0, width + 0.2))
-    return sampled((length, 0.15, width), 0.8 / 120, 0.02, 31, 0.5, high)
+    return sampled((length, 0.15, width), 0.8 / 120, 0.02, keep_every, 0.5, high)
 
 
 EXCAVATION = Scene(
@@ -108,7 +108,7 @@ EXCAVATION = Scene(
     demo_case=125,
     bin=_blade_bin(0.8, 0.6),
     # Neighbouring cuts and wide tools; a long cut, whose heap must not reach the walls beside it.
-    other_bins={'wide': _blade_bin(0.8, 1.2), 'long': _blade_bin(2.0, 1.0)},
+    other_bins={'wide': _blade_bin(0.8, 1.2), 'long': _blade_bin(2.0, 1.0, 5 * 31)},
 )
 
 WHEEL = Scene(

@@ -41,7 +41,9 @@ class Recipe(NamedTuple):
 _PUBLISHED = {'modes': 8, 'num_steps': 10_000}
 SHIPPED = {
     'excavation/soil_field': Recipe(
-        ('excavation', 'excavation_wide', 'excavation_more'), 'soil_field', {'seed': 3}
+        ('excavation', 'excavation_wide', 'excavation_more', 'excavation_long'),
+        'soil_field',
+        {'seed': 1},
     ),
     'wheel/soil_field': Recipe(('wheel', 'wheel_more'), 'soil_field', {'seed': 0}),
     'excavation/mlp_driven': Recipe(('excavation',), 'mlp_driven', {'num_steps': 4000}),

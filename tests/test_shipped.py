@@ -67,7 +67,13 @@ def test_edges_of_the_graph_network_are_those_that_its_data_give(scene):
 
 
 @pytest.mark.parametrize(
-    'names', [('excavation', 'excavation_more'), ('excavation_wide',), ('wheel', 'wheel_more')]
+    'names',
+    [
+        ('excavation', 'excavation_more'),
+        ('excavation_wide',),
+        ('excavation_long',),
+        ('wheel', 'wheel_more'),
+    ],
 )
 def test_no_case_is_in_two_splits(names):
     from mpm import scenes

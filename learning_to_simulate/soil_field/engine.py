@@ -147,10 +147,14 @@ class TfEngine:
         if passage.place is not self._passage.place:
             self._finish()
         self._passage, self._frame = passage, frame
-        if len(passage.gone):
-            self._terrain.settle(passage.gone, keep=passage.surroundings()[0])
+        self._settle_gone()
         self._number += 1
         return frame
+
+    def _settle_gone(self):
+        passage = self._passage
+        if len(passage.gone):
+            self._terrain.settle(passage.gone, keep=passage.surroundings()[0])
 
     def tangent(self, direction, dt: float, reach: float) -> np.ndarray:
         """[6]: derivative of force and torque in the coming frame along a direction [6] of its pose
@@ -174,6 +178,9 @@ class TfEngine:
         if self._terrain.is_crowded(self):
             _ = self._terrain.heights  # as other tools have left them by now
         self._passage.meet()
+        if self._passage.is_due:
+            self._passage = self._passage.renewed(last.pose)
+            self._settle_gone()
         passage = copy.copy(self._passage)
         (_, yaw, _), aside = passage.place.turns(pose), passage.place.local(pose[:3])[2]
         in_air = not (last.force.any() or last.torque.any())

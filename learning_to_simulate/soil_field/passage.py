@@ -7,7 +7,7 @@ import numpy as np
 
 from learning_to_simulate.soil_field import strips as strips_lib
 from learning_to_simulate.soil_field import sweep
-from learning_to_simulate.soil_field.place import checked_pose, place_of
+from learning_to_simulate.soil_field.place import Place, checked_pose, place_of
 from learning_to_simulate.soil_field.terrain import Terrain
 from learning_to_simulate.soil_field.tools import STANDARD_GRAVITY, Tool
 from learning_to_simulate.swept import check_time
@@ -33,6 +33,10 @@ class Passage:
     heights of the terrain are kept as the tool has left them by now. A `copy.copy` may go on to try
     a step and be dropped: it shares what is known of cells. `clone` is for another terrain.
 
+    On a long way a passage is renewed where the tool cuts new soil: what the terrain is by then
+    counts as what it was before the tool came, and the memory of the way (7) goes on. So no number
+    leaves training because the way is long.
+
     Soil is kept by (19) and (20) of docs/soil_field.md. What a chunk of cells changes in C (19) as
     it leaves comes in over the next `GRID.chunk` bins of way. A tool that is lifted over the
     terrain before it moves no soil: heights stay as they were when it left.
@@ -46,6 +50,7 @@ class Passage:
       set_down: whether the tool comes from above; else it stands in soil that it has not moved.
       even: whether the terrain counts as level across the way, so that one strip as wide as the
         tool does; None: as long as it is.
+      place: None for that of the pose.
 
     Attributes:
       place, scale, strips: of the passage; from one strip it goes over to all of them where even
@@ -60,12 +65,12 @@ class Passage:
 
     def __init__(
         self, terrain: Terrain, tool: Tool, pose, rise: Callable | None = None,
-        set_down: bool = True, even: bool | None = None,
+        set_down: bool = True, even: bool | None = None, place: Place | None = None,
     ):  # fmt: skip
         self.terrain, self.tool, self.scale = terrain, tool, tool.scale
         self._rise = rise
         self._cell = float(np.prod(terrain.cell)) / self.scale**2  # m2 of the field
-        self.place = place_of(pose)
+        self.place = place_of(pose) if place is None else place
         self._values = tool.values(terrain.soil)
         # s of the field: in the root of scale over g.
         self._time = np.sqrt(STANDARD_GRAVITY / terrain.soil.gravity * self.scale)
@@ -117,6 +122,27 @@ class Passage:
         return self.is_lifted and bool(sweep.all_cut(self.state).any())
 
     @property
+    def is_due(self) -> bool:
+        """Whether the way is long and the tool has just cut farther than before."""
+        s, under = self.state, self.strips.under
+        is_new = s.foremost[under].max() == s.tip[0]
+        return bool(s.way[0] > self.tool.renewed and is_new and not self.is_lifted)
+
+    def renewed(self, pose) -> 'Passage':
+        """The passage that goes on from its pose [7], on the terrain as it is by now."""
+        self.update()
+        other = Passage(self.terrain, self.tool, pose, self._rise, set_down=False, place=self.place)
+        other.remember(self.state.memory[0], self.state.speed[0])
+        other.gone = np.setdiff1d(self._cells, other._cells, assume_unique=True)
+        return other
+
+    def remember(self, memory, speed) -> None:
+        """Takes a memory [K, 4] of (7) and a speed of a tool that has come here."""
+        n = len(self.state.way)
+        memory, speed = np.repeat(memory[None], n, axis=0), np.full(n, float(speed))
+        self.state = self.state._replace(memory=memory, speed=speed)
+
+    @property
     def crossfall(self) -> float:
         """By how much the terrain before the tool falls across the width w of a tool that sees one
         strip, m of the field: |b| w of the line a + b z that fits the cells under it best. Those
@@ -137,9 +163,9 @@ class Passage:
     @property
     def slope(self) -> float:
         """Of the terrain before the tool along the way: of the line a + b u that fits the mean of
-        the strips under it best over all bins, b."""
+        the outermost strips best over all bins, b."""
         u = sweep.GRID.offsets - sweep.GRID.offsets.mean()
-        return float(u @ self.state.surface[self.strips.under].mean(axis=0) / (u @ u))
+        return float(u @ self.state.surface[[0, -1]].mean(axis=0) / (u @ u))
 
     def _is_even(self, u):
         """Whether all strips are equal at places u [k]."""

@@ -54,6 +54,9 @@ class Walk:
       run: the run.
       start: frame, a multiple of the stride of its heights.
       set_down: see `Passage`.
+
+    Attributes:
+      passage: the newest; another one where that was renewed.
     """
 
     def __init__(self, run: Run, start: int = 0, set_down: bool = True):
@@ -64,7 +67,10 @@ class Walk:
 
     def go_on(self) -> None:
         """Goes to the next frame."""
-        run, self.frame_number = self._run, self.frame_number + 1
+        run = self._run
+        if self.passage.is_due:
+            self.passage = self.passage.renewed(run.pose[self.frame_number])
+        self.frame_number += 1
         if not self.frame_number % run.stride:
             heights = run.heights[self.frame_number // run.stride]
             self.passage.terrain.write(self._all, heights.ravel())
@@ -95,13 +101,22 @@ def starts_of(run: Run) -> range:
     return range(0, max(len(run.pose) - 2 * run.stride, 1), START_EVERY - START_EVERY % run.stride)
 
 
-def episode_of(run: Run, start: int = 0) -> Episode:
-    """The whole run, or `EPISODE` frames from the middle of it: the tool stands in the soil as it
-    was recorded, which it has not moved, so a field learns to go on from any terrain."""
+def episode_of(run: Run, start: int = 0, whole: Episode | None = None) -> Episode:
+    """The whole run, or frames from the middle of it: the tool stands in the soil as it was
+    recorded, which it has not moved, so a field learns to go on from any terrain. There it has the
+    memory of the way so far, and goes on until a passage is renewed, where the `whole` of its run
+    is given; else it has none, and goes on for `EPISODE` frames."""
     walk = Walk(run, start, set_down=start == 0)
-    passage, frames, risen, ways = walk.passage, [], [], []
-    last = min(start + EPISODE, len(run.pose) - 1) if start else len(run.pose) - 1
+    frames, risen, ways = [], [], []
+    last, settled = len(run.pose) - 1, 0.0
+    if whole is not None:
+        path = whole.frames.scalars[start, 0, : len(sweep.SCALARS)].astype(np.float64)
+        memory = path[-len(sweep.MEMORIES) * len(sweep.MOTIONS) :].reshape(len(sweep.MEMORIES), -1)
+        walk.passage.remember(memory, path[sweep.SCALARS.index('speed')])
+    elif start:
+        last, settled = min(start + EPISODE, last), SETTLED
     while True:
+        passage = walk.passage
         frames.append(passage.frame)
         ways.append(passage.state.way[0])
         t = walk.frame_number
@@ -109,12 +124,12 @@ def episode_of(run: Run, start: int = 0) -> Episode:
             cells, places, before = passage.surroundings()
             now = run.heights[t // run.stride].ravel()[cells]
             risen.append((t - start, places, (now - before) / passage.scale))
-        if t == last:
+        if t == last or (whole is not None and passage.is_due):
             break
         walk.go_on()
-    settled = np.array(ways) >= (SETTLED if start else 0.0)
-    loads = loads_of(run, passage.place)[start : last + 1]
-    return Episode(_stacked(frames, len(passage.strips.centres)), passage, risen, loads, settled)
+    loads = loads_of(run, passage.place)[start : t + 1]
+    frames = _stacked(frames, len(passage.strips.centres))
+    return Episode(frames, passage, risen, loads, np.array(ways) >= settled)
 
 
 def _stacked(frames, n_strips):

@@ -85,8 +85,13 @@ def parts_of(field: SoilField, runs: list[Run], progress=iter) -> dict[str, list
         whole = samples.episode_of(run)
         values.append(field.judged(whole.frames))
         motion = samples.motion_of(whole)
+        is_renewed = np.isfinite(run.tool.renewed)
         for start in samples.starts_of(run):
-            episode = samples.episode_of(run, start) if start else whole
+            episode = whole
+            if start:
+                episode = samples.episode_of(run, start, whole if is_renewed else None)
+            if start and is_renewed:
+                values.append(field.judged(episode.frames))
             add('load', samples.load_part(networks, run, episode))
             add('surface', samples.surface_part(networks, episode, motion, rng))
         if run.particles is not None:

@@ -35,8 +35,8 @@ def test_what_is_not_there_is_refused_with_what_is(tmp_path, monkeypatch):
     with pytest.raises(FileNotFoundError, match='moon: .*; shipped are .*excavation/pcg'):
         shipped.find('moon', 'models')
     names = (
-        'excavation, excavation_beyond, excavation_more, excavation_wide, wheel, wheel_beyond, '
-        'wheel_more'
+        'excavation, excavation_beyond, excavation_long, excavation_more, excavation_wide, wheel, '
+        'wheel_beyond, wheel_more'
     )
     with pytest.raises(FileNotFoundError, match=f'shipped are {names}$'):
         shipped.find('moon', 'datasets')

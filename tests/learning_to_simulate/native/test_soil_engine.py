@@ -371,7 +371,7 @@ def test_a_tool_faster_than_any_taught_feels_what_the_fastest_did():
 @pytest.mark.parametrize('tool', TOOLS.values(), ids=TOOLS)
 def test_a_tool_that_is_clear_of_its_heap_is_in_the_air(tool, ground):
     pair = both(ground(), tool)
-    (_, last), ends, kappa = drive(pair, path(30, 0.4)), [], 0.0
+    (_, last), ends, kappa = drive(pair, path(30, 0.3)), [], 0.0
     for height in np.linspace(last.pose[1], 0.02 + 1.6 * tool.radius + 0.13, 25):
         pose = np.array(last.pose)
         pose[1] = height

@@ -41,6 +41,31 @@ def level(size=(4.0, 1.6), height=0.0, **more):
     return Terrain.flat(size, height, corner=(-3.0, -size[1] / 2), **more)
 
 
+def test_on_a_long_way_a_passage_is_renewed_where_new_soil_is_cut():
+    tool = TOOLS['blade']
+    way = np.linspace(0.0, 1.4, 71)
+    way = np.stack([way, np.full(71, tool.radius - 0.03), 0.2 + 0 * way], axis=1)
+    back, up = way[:40:-1], way[40:41] + [0.0, 0.2, 0.0]
+    soil, old = level(), None
+    passage = Passage(soil, tool, poses(way)[0], trench)
+    for pose in poses(np.concatenate([way[1:], back, up])):
+        passage.step(pose, DT)
+        if passage.is_due:
+            old, passage = passage, passage.renewed(pose)
+            assert tool.renewed < old.state.way[0] < tool.renewed + 0.03
+            assert not passage.is_due and passage.place is old.place
+            assert np.ptp(passage.state.memory - old.state.memory[0]) == 0
+            assert (passage.state.speed == old.state.speed[0]).all()
+            at_tool = np.argmin(np.abs(sweep.GRID.offsets))  # its trench is terrain by now
+            surface = passage.state.surface[passage.strips.under][:, at_tool - 20 : at_tool]
+            assert surface.min() > -0.031 and surface.max() < -0.02
+            assert len(passage.gone) and not np.isin(passage.gone, passage.surroundings()[0]).any()
+    # Twice on 1.4 m; neither on the way back nor in the air.
+    assert old is not None and passage.state.way[0] > tool.renewed and not passage.is_due
+    assert old.state.foremost.max() == pytest.approx(1.12, abs=0.03)
+    assert np.isinf(TOOLS['wheel'].renewed)
+
+
 @pytest.mark.parametrize(
     'one, other',
     [

@@ -78,3 +78,18 @@ def test_an_episode_from_the_middle_of_a_run():
     memory = [i for i, name in enumerate(samples.sweep.SCALARS) if name[-2:] in ('_0', '_1')]
     seen, known = (e.frames.scalars[:, 0, memory] for e in (part, whole))
     np.testing.assert_allclose(seen[part.settled], known[24:][part.settled], atol=1e-4)
+
+
+def test_an_episode_of_a_tool_whose_passages_are_renewed_has_the_memory_of_the_run():
+    way = worlds.path(2, 97) * [3.2, 1.0, 1.0]
+    run = worlds.run(2, way=way)
+    whole = samples.episode_of(run)
+    ways = whole.frames.scalars[:, 0, samples.sweep.SCALARS.index('way')]
+    assert len(ways) == 97 and (np.diff(ways) < 0).sum() == 1
+    part = samples.episode_of(run, 4, whole)
+    n = len(part.loads)
+    assert part.settled.all() and 4 + n < 97  # until it is renewed
+    np.testing.assert_array_equal(part.loads, whole.loads[4 : 4 + n])
+    memory = [samples.sweep.SCALARS.index('along_0'), samples.sweep.SCALARS.index('pace_3')]
+    seen, known = (e.frames.scalars[:, 0, memory] for e in (part, whole))
+    np.testing.assert_allclose(seen, known[4 : 4 + n], atol=1e-6)

@@ -143,7 +143,7 @@ void lts_soil_make_frame(lts_soil *soil, const lts_passage *p, int all);
 /* From one strip to all of them. */
 int lts_soil_n_strip(const lts_soil *soil);
 void lts_soil_take_all_strips(const lts_soil *soil, lts_passage *p);
-int lts_soil_begin(lts_soil *soil, lts_passage *p, const lts_pose *pose, int set_down);
+int lts_soil_begin(lts_soil *soil, lts_passage *p, const lts_pose *pose, int set_down, const lts_place *place);
 int lts_soil_go(lts_soil *soil, lts_passage *p, const lts_pose *pose, double dt);
 void lts_soil_copy(const lts_soil *soil, lts_passage *to, const lts_passage *from);
 /* Whether its tool has cut and is lifted since. */

@@ -73,13 +73,14 @@ void lts_soil_copy(const lts_soil *soil, lts_passage *to, const lts_passage *fro
   memcpy(to->struck, from->struck, n);
 }
 
-int lts_soil_begin(lts_soil *soil, lts_passage *p, const lts_pose *pose, int set_down) {
+int lts_soil_begin(lts_soil *soil, lts_passage *p, const lts_pose *pose, int set_down, const lts_place *place) {
   const lts_soil_model *m = soil->model;
   lts_way *w = &p->s;
   const int cells = w->cells;
   memset(w, 0, sizeof *w);
   w->cells = cells;
-  if (!lts_place_of(pose, &w->place)) return LTS_ERROR_VALUE;
+  if (place) w->place = *place;
+  else if (!lts_place_of(pose, &w->place)) return LTS_ERROR_VALUE;
   lts_terrain_update(soil->terrain);
   double first[3], sum = 0.0, highest = -HUGE_VAL;
   seen_pose(soil, &w->place, pose, first);

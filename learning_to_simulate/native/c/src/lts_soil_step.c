@@ -74,17 +74,15 @@ static double crossfall_of(const lts_soil *soil, const lts_passage *p) {
   return fabs(zh - z / sum * h) / soil->scale / fmax(zz - z / sum * z, 1e-6 * sum) * soil->width;
 }
 
-/* `Passage.slope`: of the line through the mean of the strips under the tool, along all bins. */
+/* `Passage.slope`: of the line through the mean of the outermost strips, along all bins. */
 static double slope_of(const lts_soil *soil, const lts_passage *p) {
   const lts_soil_model *m = soil->model;
-  const int is_one = p->s.n_strip == 1, first = is_one ? 0 : m->n_beside, count = is_one ? 1 : m->n_column;
+  const double *last = p->surface + LTS_SOIL_ROW(soil, p->s.n_strip - 1);
   const double middle = (lts_soil_offset(m, 0) + lts_soil_offset(m, m->n_bin - 1)) / 2.0;
   double uh = 0.0, uu = 0.0;
   for (int k = 0; k < m->n_bin; ++k) {
     const double u = lts_soil_offset(m, k) - middle;
-    double height = 0.0;
-    for (int j = first; j < first + count; ++j) height += p->surface[LTS_SOIL_ROW(soil, j) + (size_t)k];
-    uh += u * height / count;
+    uh += u * (p->surface[k] + last[k]) / 2.0;
     uu += u * u;
   }
   return uh / uu;
@@ -227,12 +225,14 @@ static int is_under_floor(const lts_soil *soil, const lts_pose *pose) {
   return !(pose->position[1] - soil->tool.radius >= soil->terrain->floor);
 }
 
-/* Begins a passage in the other place, with the cells that are not in use. */
-static int begin_other(lts_soil *soil, const lts_pose *pose, int set_down, lts_passage **out) {
+/* Begins a passage in the other place, with the cells that are not in use; in the plane of a place, or (null) of the
+ * pose. */
+static int begin_other(lts_soil *soil, const lts_pose *pose, int set_down, const lts_place *place,
+                       lts_passage **out) {
   lts_passage *p = &soil->passage[!soil->now];
   soil->seen = NULL;
   p->s.cells = soil->passage[soil->now].s.cells;
-  LTS_TRY(lts_soil_begin(soil, p, pose, set_down));
+  LTS_TRY(lts_soil_begin(soil, p, pose, set_down, place));
   p->s.stale = set_down;
   *out = p;
   /* Of cells that are in sight it knows nothing yet. */
@@ -263,7 +263,7 @@ static int start(lts_soil *soil, const lts_pose *pose, int set_down, int writes,
   finish(soil, &soil->passage[soil->now]);
   const int was_started = soil->started;
   soil->started = 0; /* what has come to rest is not written again */
-  const int begun = begin_other(soil, unit, set_down, &p);
+  const int begun = begin_other(soil, unit, set_down, NULL, &p);
   soil->started = was_started;
   LTS_TRY(begun);
   soil->now = !soil->now;
@@ -317,15 +317,46 @@ static int is_away(const lts_soil *soil, const lts_pose *pose) {
 /* There a tool begins a new passage, where that is in the air too. Says whether it does. */
 static int turns_away(lts_soil *soil, const lts_pose *pose, lts_passage **fresh) {
   if (!is_away(soil, pose)) return 0;
-  LTS_TRY(begin_other(soil, pose, 1, fresh));
+  LTS_TRY(begin_other(soil, pose, 1, NULL, fresh));
   return !lts_soil_find_loads(soil, *fresh, 1, soil->loads);
+}
+
+/* `Passage.is_due`, of the passage of the tool. */
+static int is_due(const lts_soil *soil) {
+  const lts_soil_model *m = soil->model;
+  const lts_way *w = &soil->passage[soil->now].s;
+  const int several = w->n_strip > 1, first = several ? m->n_beside : 0, count = several ? m->n_column : 1;
+  double foremost = -HUGE_VAL;
+  for (int j = first; j < first + count; ++j) foremost = fmax(foremost, w->foremost[j]);
+  return w->way > m->renewed && foremost == w->pose[0] && !w->lifted;
+}
+
+/* Before a step: what others have changed, and `Passage.renewed` where that is due. */
+static int make_ready(lts_soil *soil) {
+  LTS_TRY(lts_soil_meet_others(soil));
+  if (!is_due(soil)) return LTS_OK;
+  const lts_way *old = &soil->passage[soil->now].s;
+  lts_passage *p;
+  LTS_TRY(begin_other(soil, &soil->pose, 0, &old->place, &p));
+  memcpy(p->s.memory, old->memory, sizeof old->memory);
+  p->s.speed = old->speed;
+  soil->now = !soil->now;
+  /* Cells that come out of sight. */
+  const lts_cells *left = &soil->cells[!p->s.cells], *c = &soil->cells[p->s.cells];
+  int32_t n_gone = 0;
+  for (int32_t k = 0, i = 0; k < left->n; ++k) {
+    while (i < c->n && c->number[i] < left->number[k]) ++i;
+    if (i == c->n || c->number[i] != left->number[k]) soil->gone[n_gone++] = left->number[k];
+  }
+  if (n_gone) lts_soil_settle(soil, soil->gone, n_gone, p);
+  return LTS_OK;
 }
 
 int lts_soil_step(lts_soil *soil, const lts_pose *pose, double dt, lts_soil_result *result) {
   lts_pose unit;
   lts_passage *p = NULL;
   LTS_TRY(check_step(soil, pose, dt, &unit));
-  LTS_TRY(lts_soil_meet_others(soil));
+  LTS_TRY(make_ready(soil));
   const int away = turns_away(soil, &unit, &p);
   LTS_TRY(away);
   if (away) {
@@ -348,7 +379,7 @@ int lts_soil_propose(lts_soil *soil, const lts_pose *pose, double dt, lts_soil_r
   lts_pose unit;
   lts_passage *p = NULL;
   LTS_TRY(check_step(soil, pose, dt, &unit));
-  LTS_TRY(lts_soil_meet_others(soil));
+  LTS_TRY(make_ready(soil));
   const int away = turns_away(soil, &unit, &p);
   LTS_TRY(away);
   if (!away) {
@@ -435,7 +466,7 @@ int lts_soil_reads(const lts_soil *soil, const lts_pose *pose) {
   const lts_way *way = &soil->passage[soil->now].s;
   double local[3];
   lts_place_local(&way->place, unit.position, local);
-  if (soil->writes && is_away(soil, &unit)) return 1;
+  if (soil->writes && (is_away(soil, &unit) || is_due(soil))) return 1;
   return lts_soil_followed(soil->model, way->origin, local[0] / soil->scale) != way->origin;
 }
 
