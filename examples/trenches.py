@@ -7,8 +7,8 @@ import numpy as np
 import learning_to_simulate as lts
 
 # Of one trench: seconds, x and height of the edge, m: down, on, back off, out, over to the next.
-TRENCH = ((0.0, 1.30, 0.36), (0.4, 1.30, 0.275), (1.2, 1.18, 0.239), (3.0, 0.72, 0.239),
-          (1.2, 0.86, 0.239), (0.5, 0.90, 0.36), (0.8, 1.30, 0.36))  # fmt: skip
+TRENCH = ((0.0, 1.30, 0.36), (0.4, 1.30, 0.275), (1.2, 1.18, 0.239), (2.3, 0.84, 0.239),
+          (1.2, 0.98, 0.239), (0.5, 1.02, 0.36), (0.8, 1.30, 0.36))  # fmt: skip
 APART, COUNT = 0.45, 10
 
 
