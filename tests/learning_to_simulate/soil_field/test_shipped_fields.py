@@ -61,17 +61,15 @@ def lifted(tool, height=0.5, is_free=True):
     return tool.terrain.heights.copy()
 
 
-def test_a_recorded_cut_of_1_3_m_has_no_end():
-    """Its passage is renewed twice: nothing is flagged, and no jump is larger than the solver's."""
-    (run,) = lts.Dataset('excavation_long').test
-    found = model('excavation').rollout(run)
-    true, travel = found.run.force, np.linalg.norm(found.pose[-1, :3] - found.pose[0, :3])
-    assert travel > 1.2 and set(found.frame_status) == {'ok'}
-    error = np.linalg.norm((found.force - true)[6:]) / np.linalg.norm(true[6:])
-    jumps = [
-        np.linalg.norm(np.diff(force, axis=0)[6:], axis=1).max() for force in (found.force, true)
-    ]
-    assert error < 0.12 and jumps[0] < jumps[1], (error, jumps)
+def test_recorded_long_cuts_have_no_end():
+    """Passages are renewed: nothing is flagged, and no jump is larger than the solver's."""
+    for run in lts.Dataset('excavation_long').test:
+        found = model('excavation').rollout(run)
+        true, travel = found.run.force, np.linalg.norm(found.pose[-1, :3] - found.pose[0, :3])
+        assert travel > 1.2 and set(found.frame_status) == {'ok'}
+        error = np.linalg.norm((found.force - true)[6:]) / np.linalg.norm(true[6:])
+        jumps = [np.linalg.norm(np.diff(f, axis=0)[6:], axis=1).max() for f in (found.force, true)]
+        assert error < 0.16 and jumps[0] < jumps[1], (error, jumps)
 
 
 def test_an_engine_can_be_chosen(name):
