@@ -83,7 +83,7 @@ def values(field) -> dict:
         'lifted': tool.lifted,
         'turned_back': passage.BACK,
         'strikes': tool.strikes,
-        'renewed': min(tool.renewed, 1e30),
+        'renewed_after': min(tool.renewed_after, 1e30),
         'slide_shares': [share for share, *_ in terrain.SLIDE_WAYS],
         'n_scalar': len(scalars),
         'n_own': len(tool.scalars),

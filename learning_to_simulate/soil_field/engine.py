@@ -147,14 +147,10 @@ class TfEngine:
         if passage.place is not self._passage.place:
             self._finish()
         self._passage, self._frame = passage, frame
-        self._settle_gone()
-        self._number += 1
-        return frame
-
-    def _settle_gone(self):
-        passage = self._passage
         if len(passage.gone):
             self._terrain.settle(passage.gone, keep=passage.surroundings()[0])
+        self._number += 1
+        return frame
 
     def tangent(self, direction, dt: float, reach: float) -> np.ndarray:
         """[6]: derivative of force and torque in the coming frame along a direction [6] of its pose
@@ -178,10 +174,10 @@ class TfEngine:
         if self._terrain.is_crowded(self):
             _ = self._terrain.heights  # as other tools have left them by now
         self._passage.meet()
-        if self._passage.is_due:
-            self._passage = self._passage.renewed(last.pose)
-            self._settle_gone()
-        passage = copy.copy(self._passage)
+        passage, gone = copy.copy(self._passage), None
+        if passage.is_due:
+            passage = passage.renewed(last.pose)
+            gone = passage.gone
         (_, yaw, _), aside = passage.place.turns(pose), passage.place.local(pose[:3])[2]
         in_air = not (last.force.any() or last.torque.any())
         leaves = abs(yaw) > TURNED or abs(aside) / passage.scale > MOVED or passage.is_over
@@ -190,6 +186,8 @@ class TfEngine:
             if not np.any(self._field.loads(fresh.frame, 1)):
                 return fresh, self._seen(fresh, pose, last.judgement)
         passage.step(pose, dt)
+        if gone is not None:  # its bins are about the tool, so the step has left none
+            passage.gone = gone
         return passage, self._seen(passage, pose, last.judgement)
 
     @property

@@ -126,7 +126,7 @@ class Passage:
         """Whether the way is long and the tool has just cut farther than before."""
         s, under = self.state, self.strips.under
         is_new = s.foremost[under].max() == s.tip[0]
-        return bool(s.way[0] > self.tool.renewed and is_new and not self.is_lifted)
+        return bool(s.way[0] > self.tool.renewed_after and is_new and not self.is_lifted)
 
     def renewed(self, pose) -> 'Passage':
         """The passage that goes on from its pose [7], on the terrain as it is by now."""

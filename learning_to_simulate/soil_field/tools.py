@@ -76,7 +76,7 @@ class Tool(abc.ABC):
     # Over the terrain, m of the field, up to where it strikes off what it has moved; 0: not at all.
     strikes: ClassVar[float]
     # Way, m of the field, after which a passage is renewed where the tool cuts new soil.
-    renewed: ClassVar[float]
+    renewed_after: ClassVar[float]
 
     def __post_init__(self):
         _check_positive(self, 'width', 'radius')
@@ -124,7 +124,7 @@ class Blade(Tool):
     least_soil = 0.05
     largest_cell = 0.04
     lifted = strikes = 0.04
-    renewed = 0.6
+    renewed_after = 0.6
     taught_widths: ClassVar = (0.15, 0.6)
     # `edge` is judged only: no network sees it.
     scalars = ('half_width', 'friction', 'radius', 'length', 'bucket', 'plates', 'edge')
@@ -173,7 +173,7 @@ class Wheel(Tool):
     largest_cell = 0.052
     lifted = 0.03
     strikes = 0.0
-    renewed = np.inf  # its rut keeps its volume as it is
+    renewed_after = np.inf  # its rut keeps its volume as it is
     RIM: ClassVar = 0.1  # m of the field
     scalars = ('half_width', 'friction', 'radius', 'lugs', 'lug_height', 'stress')
 

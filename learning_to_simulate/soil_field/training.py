@@ -85,12 +85,10 @@ def parts_of(field: SoilField, runs: list[Run], progress=iter) -> dict[str, list
         whole = samples.episode_of(run)
         values.append(field.judged(whole.frames))
         motion = samples.motion_of(whole)
-        is_renewed = np.isfinite(run.tool.renewed)
+        known = whole if np.isfinite(run.tool.renewed_after) else None
         for start in samples.starts_of(run):
-            episode = whole
-            if start:
-                episode = samples.episode_of(run, start, whole if is_renewed else None)
-            if start and is_renewed:
+            episode = samples.episode_of(run, start, known) if start else whole
+            if start and known:  # a renewed passage is one that begins there
                 values.append(field.judged(episode.frames))
             add('load', samples.load_part(networks, run, episode))
             add('surface', samples.surface_part(networks, episode, motion, rng))

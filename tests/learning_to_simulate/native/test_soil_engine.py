@@ -367,6 +367,26 @@ def test_a_tool_faster_than_any_taught_feels_what_the_fastest_did():
     assert np.abs(np.subtract(*forces)).max() > 1e-3
 
 
+def test_a_proposal_renews_no_passage():
+    pair = both(hills())
+    way = poses(path(60, 0.9))
+    assert_frame(*(one.start(way[0]) for one in pair))
+    renewed = 0
+    for pose in way[1:]:
+        passage, before = pair[1]._engine._passage, [one.terrain.heights.copy() for one in pair]
+        is_due = passage.is_due
+        seen = [one.propose(pose, DT) for one in pair]
+        for one, heights in zip(pair, before):
+            np.testing.assert_array_equal(one.terrain.heights, heights)
+        assert pair[1]._engine._passage is passage
+        for frame, proposed in zip(step(pair, pose), seen):
+            np.testing.assert_allclose(frame.force, proposed.force, atol=1e-9)
+        renewed += is_due
+        assert (pair[1]._engine._passage.state.way[0] < passage.state.way[0]) == is_due
+    assert renewed
+    assert_ground(*pair)
+
+
 @pytest.mark.parametrize('ground', [flat, hills])
 @pytest.mark.parametrize('tool', TOOLS.values(), ids=TOOLS)
 def test_a_tool_that_is_clear_of_its_heap_is_in_the_air(tool, ground):

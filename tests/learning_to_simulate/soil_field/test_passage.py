@@ -52,7 +52,7 @@ def test_on_a_long_way_a_passage_is_renewed_where_new_soil_is_cut():
         passage.step(pose, DT)
         if passage.is_due:
             old, passage = passage, passage.renewed(pose)
-            assert tool.renewed < old.state.way[0] < tool.renewed + 0.03
+            assert tool.renewed_after < old.state.way[0] < tool.renewed_after + 0.03
             assert not passage.is_due and passage.place is old.place
             assert np.ptp(passage.state.memory - old.state.memory[0]) == 0
             assert (passage.state.speed == old.state.speed[0]).all()
@@ -61,9 +61,9 @@ def test_on_a_long_way_a_passage_is_renewed_where_new_soil_is_cut():
             assert surface.min() > -0.031 and surface.max() < -0.02
             assert len(passage.gone) and not np.isin(passage.gone, passage.surroundings()[0]).any()
     # Twice on 1.4 m; neither on the way back nor in the air.
-    assert old is not None and passage.state.way[0] > tool.renewed and not passage.is_due
+    assert old is not None and passage.state.way[0] > tool.renewed_after and not passage.is_due
     assert old.state.foremost.max() == pytest.approx(1.12, abs=0.03)
-    assert np.isinf(TOOLS['wheel'].renewed)
+    assert np.isinf(TOOLS['wheel'].renewed_after)
 
 
 @pytest.mark.parametrize(

@@ -148,6 +148,8 @@ int lts_soil_go(lts_soil *soil, lts_passage *p, const lts_pose *pose, double dt)
 void lts_soil_copy(const lts_soil *soil, lts_passage *to, const lts_passage *from);
 /* Whether its tool has cut and is lifted since. */
 int lts_soil_is_over(const lts_soil *soil, const lts_passage *p);
+/* Whether its way is long and its tool has just cut farther than before. */
+int lts_soil_is_due(const lts_soil *soil, const lts_passage *p);
 
 /* lts_soil_table.c: inputs [n][ld] of places. offsets count from `base`; `other` are neighbours of strips, or null. */
 void lts_soil_inputs(const lts_soil *soil, const lts_table *table, const lts_places *places,

@@ -57,8 +57,8 @@ struct lts_soil_model {
   double taught_widths[2], rim, bucket_edge, lean_length, standard_density, standard_gravity;
   /* Passage. */
   double ahead, below_tool, even, max_step, set_down, factor[2]; /* factor: of (20) */
-  double lifted, under, turned_back, strikes, renewed; /* m over the soil; under a tool along the way; behind its foremost
-                                                * place; over the terrain */
+  /* m over the soil; under a tool along the way; behind its foremost place; over the terrain; way of a passage. */
+  double lifted, under, turned_back, strikes, renewed_after;
   /* Terrain: of soil that slides. */
   int32_t slides, unused_slides;
   double slope_tolerance, slide_shares[3];

@@ -18,17 +18,32 @@ static void seen_pose(const lts_soil *soil, const lts_place *place, const lts_po
   out[2] = turns[0];
 }
 
+/* Of the strips under a tool: the first, and how many there are. */
+static int under_tool(const lts_soil *soil, const lts_passage *p, int *first) {
+  const int several = p->s.n_strip > 1;
+  *first = several ? soil->model->n_beside : 0;
+  return several ? soil->model->n_column : 1;
+}
+
+static double foremost_of(const lts_soil *soil, const lts_passage *p) {
+  int first;
+  const int count = under_tool(soil, p, &first);
+  double foremost = -HUGE_VAL;
+  for (int j = first; j < first + count; ++j) foremost = fmax(foremost, p->s.foremost[j]);
+  return foremost;
+}
+
 /* Whether a tool that is seen somewhere is by `lifted`, or at all where it has turned back, over the highest terrain
  * before it that lies under it, and over the mean of all in sight. */
 static int lifts(const lts_soil *soil, const lts_passage *p, const double seen[3]) {
   const lts_soil_model *m = soil->model;
-  const int several = p->s.n_strip > 1, first = several ? m->n_beside : 0, count = several ? m->n_column : 1;
+  int first;
+  const int count = under_tool(soil, p, &first);
   const double bottom = seen[1] - soil->radius, middle = (seen[0] - p->s.origin) / m->spacing + m->n_behind;
   const int begin = (int)fmax(middle - m->under / m->spacing, 0.0);
   const int end = (int)fmin(middle + m->under / m->spacing + 2.0, (double)m->n_bin);
-  double sum = 0.0, foremost = -HUGE_VAL;
-  for (int j = first; j < first + count; ++j) foremost = fmax(foremost, p->s.foremost[j]);
-  const double least = seen[0] < foremost - m->turned_back ? 0.0 : m->lifted;
+  double sum = 0.0;
+  const double least = seen[0] < foremost_of(soil, p) - m->turned_back ? 0.0 : m->lifted;
   for (int k = begin; k < end; ++k) {
     if (!(fabs(p->s.origin + lts_soil_offset(m, k) - seen[0]) < m->under)) continue;
     for (int j = first; j < first + count; ++j) {
@@ -48,6 +63,10 @@ int lts_soil_is_over(const lts_soil *soil, const lts_passage *p) {
     if (p->profile[i] < p->surface[i]) return 1;
   }
   return 0;
+}
+
+int lts_soil_is_due(const lts_soil *soil, const lts_passage *p) {
+  return p->s.way > soil->model->renewed_after && foremost_of(soil, p) == p->s.pose[0] && !p->s.lifted;
 }
 
 /* Whether all strips are equal at a place. */

@@ -321,34 +321,19 @@ static int turns_away(lts_soil *soil, const lts_pose *pose, lts_passage **fresh)
   return !lts_soil_find_loads(soil, *fresh, 1, soil->loads);
 }
 
-/* `Passage.is_due`, of the passage of the tool. */
-static int is_due(const lts_soil *soil) {
-  const lts_soil_model *m = soil->model;
-  const lts_way *w = &soil->passage[soil->now].s;
-  const int several = w->n_strip > 1, first = several ? m->n_beside : 0, count = several ? m->n_column : 1;
-  double foremost = -HUGE_VAL;
-  for (int j = first; j < first + count; ++j) foremost = fmax(foremost, w->foremost[j]);
-  return w->way > m->renewed && foremost == w->pose[0] && !w->lifted;
-}
-
-/* Before a step: what others have changed, and `Passage.renewed` where that is due. */
-static int make_ready(lts_soil *soil) {
-  LTS_TRY(lts_soil_meet_others(soil));
-  if (!is_due(soil)) return LTS_OK;
+/* `Passage.renewed`, in the other place; numbers of cells that come out of sight go to `soil->gone`. */
+static int renew(lts_soil *soil, lts_passage **out, int32_t *n_gone) {
   const lts_way *old = &soil->passage[soil->now].s;
-  lts_passage *p;
-  LTS_TRY(begin_other(soil, &soil->pose, 0, &old->place, &p));
+  LTS_TRY(begin_other(soil, &soil->pose, 0, &old->place, out));
+  lts_passage *p = *out;
   memcpy(p->s.memory, old->memory, sizeof old->memory);
   p->s.speed = old->speed;
-  soil->now = !soil->now;
-  /* Cells that come out of sight. */
   const lts_cells *left = &soil->cells[!p->s.cells], *c = &soil->cells[p->s.cells];
-  int32_t n_gone = 0;
+  *n_gone = 0;
   for (int32_t k = 0, i = 0; k < left->n; ++k) {
     while (i < c->n && c->number[i] < left->number[k]) ++i;
-    if (i == c->n || c->number[i] != left->number[k]) soil->gone[n_gone++] = left->number[k];
+    if (i == c->n || c->number[i] != left->number[k]) soil->gone[(*n_gone)++] = left->number[k];
   }
-  if (n_gone) lts_soil_settle(soil, soil->gone, n_gone, p);
   return LTS_OK;
 }
 
@@ -356,13 +341,19 @@ int lts_soil_step(lts_soil *soil, const lts_pose *pose, double dt, lts_soil_resu
   lts_pose unit;
   lts_passage *p = NULL;
   LTS_TRY(check_step(soil, pose, dt, &unit));
-  LTS_TRY(make_ready(soil));
+  LTS_TRY(lts_soil_meet_others(soil));
   const int away = turns_away(soil, &unit, &p);
   LTS_TRY(away);
   if (away) {
     finish(soil, &soil->passage[soil->now]);
     soil->now = !soil->now;
   } else {
+    if (lts_soil_is_due(soil, &soil->passage[soil->now])) {
+      int32_t n_gone;
+      LTS_TRY(renew(soil, &p, &n_gone));
+      soil->now = !soil->now;
+      if (n_gone) lts_soil_settle(soil, soil->gone, n_gone, p);
+    }
     p = &soil->passage[soil->now];
     LTS_TRY(lts_soil_go(soil, p, &unit, dt));
   }
@@ -379,12 +370,14 @@ int lts_soil_propose(lts_soil *soil, const lts_pose *pose, double dt, lts_soil_r
   lts_pose unit;
   lts_passage *p = NULL;
   LTS_TRY(check_step(soil, pose, dt, &unit));
-  LTS_TRY(make_ready(soil));
+  LTS_TRY(lts_soil_meet_others(soil));
   const int away = turns_away(soil, &unit, &p);
   LTS_TRY(away);
   if (!away) {
+    int32_t n_gone;
     p = &soil->passage[!soil->now];
-    lts_soil_copy(soil, p, &soil->passage[soil->now]);
+    if (lts_soil_is_due(soil, &soil->passage[soil->now])) LTS_TRY(renew(soil, &p, &n_gone));
+    else lts_soil_copy(soil, p, &soil->passage[soil->now]);
     LTS_TRY(lts_soil_go(soil, p, &unit, dt));
   }
   lts_soil_result found;
@@ -466,7 +459,7 @@ int lts_soil_reads(const lts_soil *soil, const lts_pose *pose) {
   const lts_way *way = &soil->passage[soil->now].s;
   double local[3];
   lts_place_local(&way->place, unit.position, local);
-  if (soil->writes && (is_away(soil, &unit) || is_due(soil))) return 1;
+  if (soil->writes && (is_away(soil, &unit) || lts_soil_is_due(soil, &soil->passage[soil->now]))) return 1;
   return lts_soil_followed(soil->model, way->origin, local[0] / soil->scale) != way->origin;
 }
 
