@@ -47,6 +47,8 @@ class NriConfig(Settings):
         epoch decay_start.
       epochs, batch_size, seed: of the training.
       supervised: train the encoder alone, with the true edges.
+      isotropic: whether no direction is special in the box that the objects move in: each sample is
+        then turned by a multiple of 90 degrees and mirrored at random, so runs count eight times.
       nodes: which nodes of a dataset of this project; see `nri.data`.
       modes: how many of its modes, the first ones; 0: all.
 
@@ -72,6 +74,7 @@ class NriConfig(Settings):
     batch_size: int = number(128, 1, 100_000)
     seed: int = number(0, 0, 2**28 - 1)  # eight random streams per seed in int32
     supervised: bool = False
+    isotropic: bool = False
     nodes: str = 'modes'
     modes: int = number(0, 0, MAX_NODES)
 

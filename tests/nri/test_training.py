@@ -1,5 +1,6 @@
 """Training: resume to the bit, what is learned, alarms, refusals."""
 
+import dataclasses
 import shutil
 
 import numpy as np
@@ -18,6 +19,9 @@ from tests.pca_tools.commands import call_command
 
 def config(**settings):
     return NriConfig(**(small.TINY | {'epochs': 4} | settings))
+
+
+SIGNS = tuple((x, y) for x in (-1, 1) for y in (-1, 1))
 
 
 def weights(path):
@@ -113,9 +117,42 @@ def test_a_step_sees_the_window_of_its_sample(monkeypatch):
     np.testing.assert_array_equal(edges, held.edges[[1, 3]])
 
 
+def test_isotropic_runs_are_turned_and_mirrored_each_in_its_way(monkeypatch):
+    held = small.springs(n_run=64, n_frame=17)
+    plain = tf.constant(held.features)
+    after = training.turned(plain, tf.constant([3, 5])).numpy()
+    found = set()
+    for before, now in zip(held.features, after):
+        ways = [(axes, signs) for axes in ((0, 1), (1, 0)) for signs in SIGNS]
+        same = [
+            (axes, signs)
+            for axes, signs in ways
+            if np.array_equal(now[..., :2], before[..., list(axes)] * signs)
+            and np.array_equal(now[..., 2:], before[..., [2 + axis for axis in axes]] * signs)
+        ]
+        assert len(same) == 1
+        found.add(same[0])
+    assert len(found) == 8
+    np.testing.assert_array_equal(training.turned(plain, tf.constant([3, 5])), after)
+    assert (training.turned(plain, tf.constant([3, 6])).numpy() != after).any()
+    caught = []
+    model = small.model(held, batch_size=4, isotropic=True)
+    monkeypatch.setattr(
+        model, 'losses', lambda features, *rest: caught.append(features) or {'loss': 0.0}
+    )
+    samples = tf.zeros(4, tf.int32)
+    with pytest.raises((TypeError, ValueError, AttributeError)):
+        Trainer(model, held)._compile([]).python_function(samples, tf.constant(0))
+    assert len(np.unique(caught[0], axis=0)) > 1
+    modes = dataclasses.replace(held, same_scale=False)
+    with pytest.raises(ValueError, match='modes are not isotropic'):
+        Trainer(model, modes)
+
+
 @pytest.mark.parametrize(
     'settings',
     [
+        {'isotropic': True},
         {'symmetric': True, 'no_edge_prior': 0.9},
         {'skip_first': False, 'edge_types': 3},
         {'supervised': True},
