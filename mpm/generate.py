@@ -96,6 +96,7 @@ def define_flags() -> None:
     )
     flags.DEFINE_float('bulk_density', None, 'Of the packed soil, kg/m3; the same.')
     flags.DEFINE_float('gravity', None, 'Acceleration, m/s2; the same.')
+    flags.DEFINE_float('slope_deg', None, 'Of the ground on the way, -25 to 25 deg; the same.')
     flags.DEFINE_float('tool_friction', None, 'Coulomb coefficient of soil on the tool; the same.')
     flags.DEFINE_integer('seed', 0, 'Seed of the initial packing.')
 
@@ -114,7 +115,7 @@ def main(values) -> None:
     started = time.time()
     scene, runs, tool = chosen_runs(values)
     runs = runs or scenes.mini_cases(scene)
-    names = ('youngs_modulus', 'seed', 'friction_angle_deg', 'bulk_density', 'gravity')
+    names = ('youngs_modulus', 'seed', 'friction_angle_deg', 'bulk_density', 'gravity', 'slope_deg')
     settings = Settings(**{name: values[name].value for name in (*names, 'tool_friction')})
     new = generate(
         scene, runs, values.output_path, settings, values.num_processes, tool, values.cluster

@@ -57,13 +57,13 @@ def make_grid(box: Bin) -> Grid:
 
 
 @numba.njit(**JIT)
-def start_nodes(nodes, grid, box, fall):
+def start_nodes(nodes, grid, box, push, fall):
     """Turns the scattered momentum into velocity; lists the nodes that soil touches.
 
     Args:
         grid: soil rests on and beyond its walls.
         box: first and last node (exclusive) per axis that can have been touched.
-        fall: m/s, downwards, that gravity adds.
+        push, fall: m/s, along x and downwards, that gravity adds.
 
     Returns:
         Numbers of free and of touched nodes.
@@ -87,7 +87,7 @@ def start_nodes(nodes, grid, box, fall):
                         vectors.store(velocity, node, zero)
                         velocity[node + index(3)] = r
                         continue
-                    velocity[node] *= r
+                    velocity[node] = velocity[node] * r + push
                     velocity[node + index(1)] = velocity[node + index(1)] * r - fall
                     velocity[node + index(2)] *= 0.0 if is_side else r
                     velocity[node + index(3)] = r
@@ -97,19 +97,19 @@ def start_nodes(nodes, grid, box, fall):
 
 
 @numba.njit(**JIT)
-def kick(nodes, grid, free, dt, gravity, settling, drift):
+def kick(nodes, grid, free, dt, along, down, settling, drift):
     """v_i += dt (f_i / m_i + g), then u_i += drift v_i; forces are zero again afterwards.
 
     Args:
         free: number of free nodes.
         dt: s, of the kick.
-        gravity: m/s2, along -y; 0 where `start_nodes` has added it.
+        along, down: m/s2, gravity along x and -y; 0 where `start_nodes` has added it.
         settling: factor on the velocities, 1 or less.
         drift: s, that the nodes then move.
     """
     velocity, force = nodes.velocity, nodes.force
     zero = vectors.make(velocity, 0.0, 0.0, 0.0, 0.0)
-    fall = vectors.make(velocity, 0.0, -gravity * dt, 0.0, 0.0)
+    fall = vectors.make(velocity, along * dt, -down * dt, 0.0, 0.0)
     nz, walls = grid.shape[2], grid.walls
     for n in range(free):
         node = nodes.free[n]

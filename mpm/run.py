@@ -73,7 +73,7 @@ def make_simulation(
 ) -> Simulation:
     """Returns the simulation of a motion (`prepared`) on a packing, float64 [N, COLUMNS]."""
     soil = soil_of(motion, settings)
-    return Simulation(scene.bin, motion.drive, soil, particles, settings, motion.ground.gravity)
+    return Simulation(scene.bin, motion.drive, soil, particles, settings, *motion.ground[2:])
 
 
 def run_case(
@@ -130,6 +130,7 @@ def run_case(
         'friction_angle_deg': ground.friction_angle_deg,
         'bulk_density_kg_m3': ground.bulk_density,
         'gravity_m_s2': ground.gravity,
+        **({'slope_deg': ground.slope_deg} if ground.slope_deg else {}),
         **{name: value for name, value in settings.recorded().items() if value is not None},
         'bin_m': list(scene.bin.size),
         'cell_m': [float(side) for side in simulation.grid.cell],

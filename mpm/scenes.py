@@ -155,6 +155,7 @@ class Ground(NamedTuple):
     friction_angle_deg: float = EXCAVATION_FRICTION_DEG
     bulk_density: float = PACKED_DENSITY  # kg/m3, as packed
     gravity: float = EARTH_GRAVITY  # m/s2
+    slope_deg: float = 0.0  # by which the ground rises where tools go, towards -x: gravity leans
 
 
 def ground_of(scene: Scene, parameters: dict) -> Ground:

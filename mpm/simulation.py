@@ -1,5 +1,6 @@
 """Soil and body of one run, advanced frame by frame."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,11 +24,12 @@ class Settings:
 
     youngs_modulus: float = 1.5e6  # Pa
     seed: int = 0  # of the packing's jitter
-    # friction_angle_deg, bulk_density, gravity: of the soil (deg, kg/m3, m/s2), in place of what a
-    # run would have; None: that
+    # friction_angle_deg, bulk_density, gravity, slope_deg: of the soil (deg, kg/m3, m/s2, deg), in
+    # place of what a run would have; None: that
     friction_angle_deg: float | None = None
     bulk_density: float | None = None
     gravity: float | None = None
+    slope_deg: float | None = None
     tool_friction: float | None = None  # Coulomb coefficient between tool and soil, likewise
     exchange: float = EXCHANGE  # s, between two exchanges of particles and grid
     steps: int = 0  # per exchange; 0: from the CFL limit
@@ -41,6 +43,7 @@ class Settings:
             ('friction_angle_deg', 15.0, 50.0),
             ('bulk_density', 500.0, 4000.0),
             ('gravity', 0.5, 100.0),
+            ('slope_deg', -25.0, 25.0),
             ('tool_friction', 0.0, 2.0),
         ):
             value = getattr(self, name)
@@ -55,6 +58,7 @@ class Settings:
             'set_friction_angle_deg': self.friction_angle_deg,
             'set_bulk_density_kg_m3': self.bulk_density,
             'set_gravity_m_s2': self.gravity,
+            'set_slope_deg': self.slope_deg,
             'set_tool_friction': self.tool_friction,
         }
 
@@ -80,13 +84,16 @@ class Simulation:
         particles: np.ndarray,
         settings: Settings,
         gravity: float,
+        slope_deg: float = 0.0,
     ):
         """Puts the body in its first pose; one that has a `rest` sinks in until it rests.
 
-        `particles` is the settled packing, float64 [N, COLUMNS]; gravity is in m/s2. ValueError: a
-        step that is not stable, or what `frame` raises.
+        `particles` is the settled packing, float64 [N, COLUMNS]; gravity is in m/s2; slope_deg as
+        `scenes.Ground` has it: what presses a tool stays square to the ground.
+        ValueError: a step that is not stable, or what `frame` raises.
         """
         self.box, self.soil, self.drive, self.gravity = box, soil, drive, gravity
+        self._slope = math.radians(slope_deg)
         self.grid = make_grid(box)
         dtype, exchange = np.float32 if settings.single else np.float64, settings.exchange
         volume = packing.particle_volume(box)
@@ -164,7 +171,7 @@ class Simulation:
         moved = ((body, path, external, self.free),)
         try:
             (loads,) = self._solver.advance(
-                self._block, self._intervals, self.gravity, bodies=moved
+                self._block, self._intervals, self.gravity, bodies=moved, slope=self._slope
             )
         except ValueError as error:
             raise ValueError(f'{error}, {self.time:.3f} s after the start') from error

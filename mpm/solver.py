@@ -173,7 +173,7 @@ def _act(block, nodes, grid, motion, step, last, dt, share, drift, load):
 
 @numba.njit(**JIT)
 def advance(
-    block, nodes, grid, intervals, steps, dt, soil, volume, damping_time, gravity, settling,
+    block, nodes, grid, intervals, steps, dt, soil, volume, damping_time, along, down, settling,
     motions, status
 ):  # fmt: skip
     """Advances the soil (and what is free of the bodies) by exchange intervals. Works in place.
@@ -186,7 +186,7 @@ def advance(
         dt: time step, s. The caller has checked it (`stability`).
         volume: m3 of packed soil per particle.
         damping_time: s, of elastic waves (`stability.damping_time`).
-        gravity: m/s2, along -y.
+        along, down: m/s2, gravity along x and -y.
         settling: factor on grid velocities at each kick (`steps` + 1 an interval): 1, or less to
             settle a packing.
         motions: tuple of `Motion`, one for each body, at least one (`no_body`); no particle is near
@@ -196,7 +196,7 @@ def advance(
     load = np.zeros(6)
     for interval in range(intervals):
         box = particles_to_grid(block, nodes.velocity, grid, 0.5 * dt, volume, soil, status)
-        free, touched = start_nodes(nodes, grid, box, 0.5 * dt * gravity)
+        free, touched = start_nodes(nodes, grid, box, 0.5 * dt * along, 0.5 * dt * down)
         if status[0] != OK:
             clear(nodes, touched)
             return
@@ -210,8 +210,8 @@ def advance(
                 last = interval * steps + steps - 1
                 _act(block, nodes, grid, motions[m], step, last, dt, share, drift, load)
             # The first half kick of gravity and of the soil's own forces is in the velocity.
-            fall = gravity if k > 0 else 0.0
-            kick(nodes, grid, free, share, fall, settling, drift)
+            pull = 1.0 if k > 0 else 0.0
+            kick(nodes, grid, free, share, pull * along, pull * down, settling, drift)
         grid_to_particles(block, nodes.velocity, nodes.displacement, grid)
         clear(nodes, touched)
 
@@ -256,6 +256,7 @@ class Solver:
         gravity: float,
         settling: float = 1.0,
         bodies: tuple = (),
+        slope: float = 0.0,
     ) -> list[np.ndarray]:
         """Advances a block by some exchange intervals, in place.
 
@@ -264,6 +265,7 @@ class Solver:
             intervals: how many.
             gravity, settling: of `advance`.
             bodies: tuples (`Body`, path, external, `Free`) of `Motion`, the last two may be None.
+            slope: rad, by which gravity leans to +x: the ground rises towards -x.
 
         Returns:
             For each body float64 [steps, 6]: force (N) of the soil on it in each step and torque
@@ -291,8 +293,8 @@ class Solver:
         status = np.zeros(2, dtype=np.int64)
         advance(
             block, self.nodes, self.grid, intervals, self.steps, self.dt, self.soil, self.volume,
-            damping_time(self.soil, self.grid.dx), gravity, settling,
-            tuple(motions) or (no_body(count),), status,
+            damping_time(self.soil, self.grid.dx), gravity * math.sin(slope),
+            gravity * math.cos(slope), settling, tuple(motions) or (no_body(count),), status,
         )  # fmt: skip
         if status[0] != OK:
             place = block.particles[status[1], X : X + 3]

@@ -29,7 +29,7 @@ _BITS = {
         'bed_low', 'bed_high', 'uneven', 'wall', 'beyond_map', 'thin_soil', 'other_tool', 'cell',
         'crossfall', 'slope',
     ),
-    'LTS_OUTSIDE_SPEED': ('speed', 'along'),
+    'LTS_OUTSIDE_SPEED': ('speed', 'along', 'turning'),
 }  # fmt: skip
 
 # Constants of the method that are fields of the same name in small letters.
@@ -39,7 +39,10 @@ _CONSTANTS = {
         'HEAP', 'ABOVE', 'RAMP', 'UNDER_ALONG', 'UNDER_ACROSS', 'FORCE', 'TORQUE', 'GAIN_LIMIT',
         'STIR', 'BESIDE_RAMP', 'BELOW', 'BELOW_RAMP', 'LENGTH', 'NEIGHBOUR',
     ),
-    passage: ('AHEAD', 'EVEN', 'MAX_STEP', 'SET_DOWN', 'FACTOR', 'UNDER', 'CROSSED'),
+    passage: (
+        'AHEAD', 'EVEN', 'MAX_STEP', 'SET_DOWN', 'FACTOR', 'FLAT', 'STEEP', 'PLANE', 'UNDER',
+        'CROSSED',
+    ),
     strips: ('N_BESIDE', 'BESIDE_WIDTH', 'ACROSS', 'BESIDE'),
     sweep: ('WINDOW', 'FORGET', 'MEMORIES', 'TOUCH', 'REACH', 'RISE'),
     terrain: ('SLIDES', 'SLOPE_TOLERANCE'),

@@ -31,7 +31,8 @@ class SoilFrame(NamedTuple):
       force: float64 [3] of the soil on the tool, N, world.
       torque: float64 [3], N m, about the position of the pose, world.
       judgement: the worst since the start; `now`: of this frame alone.
-      spread: float64 [6], standard deviation over members of force and torque, along, up, across.
+      spread: float64 [6], standard deviation over members of force and torque along the ground of
+        the place, square to it, and across.
       bound: N, of the error of the force, see `SoilField.bound`; NaN where it is not known.
     """
 
@@ -144,7 +145,7 @@ class TfEngine:
 
     def step(self, pose, dt: float) -> SoilFrame:
         passage, frame = self._proposed(pose, dt)
-        if passage.place is not self._passage.place:
+        if passage.place.origin is not self._passage.place.origin:  # a new one, not a renewed one
             self._finish()
         self._passage, self._frame = passage, frame
         if len(passage.gone):
@@ -209,8 +210,8 @@ class TfEngine:
         found = [place.local(pose[:3])[2], max(beyond, 0.0),
                  max(passage.scale * self._tool.least_soil - over_floor, 0.0), max([0.0, *others]),
                  t.cell.max()]  # fmt: skip
-        of_ground = passage.crossfall, passage.slope
-        return np.array([yaw, roll, *np.array(found) / passage.scale, *of_ground])
+        others = passage.crossfall, passage.slope, passage.turning, passage.leans
+        return np.array([yaw, roll, *np.array(found) / passage.scale, *others])
 
     def _seen(self, passage, pose, before):
         frame = passage.frame
@@ -222,7 +223,7 @@ class TfEngine:
         mean = loads.mean(axis=0)
         values = self._field.judged(frame, self._conditions(passage, pose)[None], bears)
         now = self._field.limits.judge(values, self._number, bool(np.isfinite(mean).all()))
-        force, torque = passage.place.vectors(mean[:3]), passage.place.vectors(mean[3:])
+        force, torque = passage.place.raised(mean[:3]), passage.place.raised(mean[3:])
         spread = loads.std(axis=0)
         bound = self._field.bound(mean[:3], spread[:3], self._units[0], self._members)
         return SoilFrame(pose, force, torque, worse(before, now), now, spread, bound)
@@ -265,12 +266,12 @@ class TfAnchor:
     def displaced(self, rest) -> np.ndarray:
         """float32 [P, 3], m, world: where particles are now that were at rest [P, 3]."""
         passage, points = self._passage, rest.astype(np.float32)
-        local = passage.place.local(rest) / passage.scale
+        local = passage.place.laid(passage.place.local(rest)) / passage.scale
         places = local - [passage.state.origin[0], passage.level, 0.0]
         moved = self._field.displacement(passage, places, self._members)
         now = np.flatnonzero(moved.any(axis=1))
         # Those that rest are as they were, to the last bit.
-        points[now] = passage.place.world(passage.scale * (local[now] + moved[now]))
+        points[now] = rest[now] + passage.place.raised(passage.scale * moved[now])
         return points
 
     def clone(self, terrain) -> 'TfAnchor':

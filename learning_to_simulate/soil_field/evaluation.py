@@ -40,6 +40,7 @@ from learning_to_simulate.soil_field.place import place_of
 from learning_to_simulate.soil_field.rollout import Followed, TerrainRollout, roll_out
 from learning_to_simulate.soil_field.runs import Machine, Run
 from learning_to_simulate.soil_field.stepper import SoilStepper
+from learning_to_simulate.soil_field.tools import Blade
 from learning_to_simulate.soil_truth import PARTICLES
 
 NEAR, RISEN = 0.1, 0.003  # m of the field
@@ -329,7 +330,9 @@ def formula(run: Run) -> dict | None:
     """Errors of the loads that the literature's formula gives, with the soil's own parameters, on
     the recorded terrain; None where it says nothing of the run."""
     place = place_of(run.pose[0])
-    if run.tool.name == 'blade':
+    if isinstance(run.tool, Blade):
+        if run.tool.bucket:  # the equation is of a face
+            return None
         try:
             force, torque = _earthmoving(run), None
         except ValueError:  # a path that nobody can follow

@@ -23,7 +23,8 @@ MARGIN = 0.05
 # Yaw and roll, rad; all others in m of the field: distance of the tool from the plane of its
 # passage; how far its ends stand out of the map; what is missing of the tool's `least_soil` between
 # it and the floor; by how much another tool is nearer than `APART`; the side of a cell, at most the
-# tool's `largest_cell`; `Passage.crossfall`; and, of no unit, `Passage.slope`.
+# tool's `largest_cell`; `Passage.crossfall`; of no unit, `Passage.slope` and `turning`, in the
+# tool's `turns`; and, rad, `Passage.leans`.
 CONDITIONS = {
     'yaw': (-0.035, 0.035),
     'roll': (-0.035, 0.035),
@@ -34,6 +35,8 @@ CONDITIONS = {
     'cell': (0.0, np.nan),
     'crossfall': (0.0, 0.004),
     'slope': (-0.09, 0.09),
+    'turning': (np.nan, np.nan),
+    'leans': (-0.05, np.pi),
 }
 APART = 0.1
 # Numbers of a frame that are judged: scalars, and what follows from bins about the tool, from how
@@ -87,7 +90,9 @@ class SoilField:
 
     @property
     def _known(self):
-        return self.ranges | CONDITIONS | {'cell': (0.0, self.networks.tool.largest_cell)}
+        tool = self.networks.tool
+        of_tool = {'cell': (0.0, tool.largest_cell), 'turning': tool.turns}
+        return self.ranges | CONDITIONS | of_tool
 
     def judged(self, frames: sweep.Frame, conditions=None, bears: bool | None = None) -> np.ndarray:
         """[T, N] numbers that say whether frames of one tool are like those of training, see

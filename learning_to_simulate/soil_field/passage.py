@@ -21,6 +21,9 @@ SET_DOWN = 0.05  # m of the field above all soil, from where a tool is set down
 UNDER = 0.1  # m of the field along the way from a tool, where terrain counts as under it
 CROSSED = 0.05  # m of the field along the way from a tool, where terrain may fall across it
 BACK = 0.02  # m of the field behind its foremost place, from where a tool has turned back
+# A slope that is steeper than the first, not than the second, and even to so much (m of the field)
+# is seen as level: no run was taught one. The ground of runs has less.
+FLAT, STEEP, PLANE = 0.01, 0.27, 0.005
 # Bounds of the factor by which a heap is drawn up for its volume: (20). On ways longer than any run
 # it must not pile up before the tool what that has left at its sides.
 FACTOR = 0.05, 4.0
@@ -33,9 +36,11 @@ class Passage:
     heights of the terrain are kept as the tool has left them by now. A `copy.copy` may go on to try
     a step and be dropped: it shares what is known of cells. `clone` is for another terrain.
 
-    On a long way a passage is renewed where the tool cuts new soil: what the terrain is by then
-    counts as what it was before the tool came, and the memory of the way (7) goes on. So no number
-    leaves training because the way is long.
+    Where the terrain slopes evenly along the way, the passage is laid on it (`Place.grade`); what
+    is left out is that gravity leans. On a long way, and where the ground takes another grade, a
+    passage is renewed as the tool cuts new soil: what the terrain is by then counts as what it was
+    before the tool came, and the memory of the way (7) goes on. So no number leaves training
+    because the way is long.
 
     Soil is kept by (19) and (20) of docs/soil_field.md. What a chunk of cells changes in C (19) as
     it leaves comes in over the next `GRID.chunk` bins of way. A tool that is lifted over the
@@ -79,6 +84,9 @@ class Passage:
         if even is None and tool.columns > 1:
             self._looks = even = self._is_even(self._pose[0] + sweep.GRID.offsets)
         self._take(strips_lib.strips_of(tool, bool(even)))
+        if place is None:
+            self.place = self._ground(self._read(self._pose[0] + sweep.GRID.offsets), self._pose[0])
+            self._pose = self.seen(pose)
         first = self._rows(self._pose)
         self.state = sweep.start(first, self._read)
         self.level = float(self.state.surface.mean())
@@ -100,8 +108,8 @@ class Passage:
     def seen(self, pose) -> np.ndarray:
         """u, y (m of the field) and lean (rad) of a pose [7]."""
         pose = checked_pose(pose)
-        u, y, _ = self.place.local(pose[:3]) / self.scale
-        return np.array([u, y, self.place.turns(pose)[0]])
+        u, y, _ = self.place.laid(self.place.local(pose[:3])) / self.scale
+        return np.array([u, y, self.place.turns(pose)[0] - np.arctan(self.place.grade)])
 
     def lifts(self, pose) -> bool:
         """Whether a tool at a pose [7] is by `Tool.lifted`, where it has turned back at all, over
@@ -123,15 +131,19 @@ class Passage:
 
     @property
     def is_due(self) -> bool:
-        """Whether the way is long and the tool has just cut farther than before."""
+        """Whether the way is long, or the ground has another grade, and the tool has just cut
+        farther than before."""
         s, under = self.state, self.strips.under
         is_new = s.foremost[under].max() == s.tip[0]
-        return bool(s.way[0] > self.tool.renewed_after and is_new and not self.is_lifted)
+        is_other = self._ground(s.surface, s.origin[0]) is not self.place
+        is_due = s.way[0] > self.tool.renewed_after or is_other
+        return bool(is_due and is_new and not self.is_lifted)
 
     def renewed(self, pose) -> 'Passage':
         """The passage that goes on from its pose [7], on the terrain as it is by now."""
         self.update()
-        other = Passage(self.terrain, self.tool, pose, self._rise, set_down=False, place=self.place)
+        place = self._ground(self.state.surface, self.state.origin[0])
+        other = Passage(self.terrain, self.tool, pose, self._rise, set_down=False, place=place)
         other.remember(self.state.memory[0], self.state.speed[0])
         other.gone = np.setdiff1d(self._cells, other._cells, assume_unique=True)
         return other
@@ -151,21 +163,40 @@ class Passage:
         if self.tool.columns > 1:
             return 0.0
         width, cell = self.tool.width / self.scale, self.terrain.cell.max() / self.scale
+        fall = self.place.grade * self.place.cosine * self._places[:, 0]  # along the way
         u, z = (self._places - [self.state.tip[0], 0.0]).T
         weight = np.maximum(1.0 - (2.0 * z / (width + cell)) ** 2, 0.0) ** 2
         weight[np.abs(u) > CROSSED + cell] = 0.0
         total = max(weight.sum(), 1e-12)
         z = z - weight @ z / total
         # Where all those cells lie in one row, nothing can fall across.
-        slope = (weight * z) @ self._before / self.scale / max((weight * z) @ z, 1e-6 * total)
+        slope = (weight * z) @ (self._before / self.scale - fall)
+        slope /= max((weight * z) @ z, 1e-6 * total)
         return float(abs(slope)) * width
 
     @property
     def slope(self) -> float:
-        """Of the terrain before the tool along the way: of the line a + b u that fits the mean of
-        the outermost strips best over all bins, b."""
-        u = sweep.GRID.offsets - sweep.GRID.offsets.mean()
-        return float(u @ self.state.surface[[0, -1]].mean(axis=0) / (u @ u))
+        """Of the terrain before the tool along the way, against its grade: of the line a + b u that
+        fits the mean of the outermost strips best over all bins, b."""
+        return _line(self.state.surface)[1]
+
+    @property
+    def turning(self) -> float:
+        """Share of x in what the tool did on the last 30 mm (7): turns of a blade, slip."""
+        return float(self.state.memory[0, -1, 2])
+
+    @property
+    def leans(self) -> float:
+        """See `Tool.leans`, rad."""
+        return self.tool.leans(float(self.state.pose[0, 2]))
+
+    def _ground(self, surface, origin) -> Place:
+        """The place on the ground of a surface [J, n_bin] about an origin, if that has one."""
+        height, slope, off = _line(surface)
+        if abs(slope) <= FLAT or off > PLANE:
+            return self.place
+        place = self.place.relaid(self.scale * (height - slope * origin), slope)
+        return place if abs(place.grade) <= STEEP else self.place
 
     def _is_even(self, u):
         """Whether all strips are equal at places u [k]."""
@@ -197,7 +228,9 @@ class Passage:
 
     def _read(self, u):
         u = np.broadcast_to(u, (len(self.strips.centres), np.shape(u)[-1]))
-        return strips_lib.heights(self.terrain, self.place, self.scale, self.strips, u)
+        read = strips_lib.heights(self.terrain, self.place, self.scale, self.strips, u)
+        ground, c = self.place.height / self.scale, self.place.cosine
+        return ground + c * (read - ground - self.place.grade * c * u)
 
     def _advance(self, rows, turn, dt):
         turn = np.full(len(rows), turn)
@@ -285,7 +318,7 @@ class Passage:
             self._take_all()
         if len(self._radius) != len(read):
             read = read[across.under].mean(axis=0, keepdims=True)
-        state = self.state
+        state, read = self.state, self.place.cosine * read
         self.state = state._replace(surface=state.surface + read, profile=state.profile + read)
 
     def update(self) -> None:
@@ -297,7 +330,7 @@ class Passage:
             return
         self._is_stale = False
         cells, places, before = self.surroundings()
-        rise = np.asarray(self._rise(self, places), np.float64)
+        rise = np.asarray(self._rise(self, places), np.float64) / self.place.cosine
         if self._keeps_volume():
             up, down = (np.maximum(sign * rise, 0.0).sum() for sign in (1, -1))
             goal = down - self._left_behind / self._cell
@@ -315,7 +348,8 @@ class Passage:
         """x and z [4, 2] (m) of the corners of what lies between places low and high along the way
         and near enough across (m of the field)."""
         reach = self.tool.width / self.scale / 2 + strips_lib.BESIDE
-        ends = np.array([[u, 0.0, z] for u in (low, high) for z in (-reach, reach)])
+        ends = [[u * self.place.cosine, 0.0, z] for u in (low, high) for z in (-reach, reach)]
+        ends = np.array(ends)
         return self.place.world(self.scale * ends)[:, [0, 2]]
 
     def _sight(self):
@@ -345,6 +379,7 @@ class Passage:
         x, z = t.middles
         points = np.stack([x[i], np.zeros(len(i)), z[k]], axis=1)
         u, _, across = (self.place.local(points) / self.scale).T
+        u = u / self.place.cosine
         inside = (u >= low) & (u <= high) & (np.abs(across) <= reach)
         return (i * t.shape[1] + k)[inside], u[inside], across[inside]
 
@@ -352,8 +387,10 @@ class Passage:
     def frame(self) -> sweep.Frame:
         """What the networks see now, [1, J, ...]."""
         s, level = self.state, np.full(len(self.strips.centres), self.level)
-        ahead = self.terrain.ahead(self.place, self.scale * s.tip[0]) / self.scale
-        below = s.pose[:, 1] - self._radius - self.terrain.floor / self.scale
+        ground, c = self.place.height / self.scale, self.place.cosine
+        ahead = self.terrain.ahead(self.place, self.scale * c * s.tip[0]) / self.scale
+        height = ground + c * (s.pose[:, 1] - ground + self.place.grade * s.pose[:, 0])
+        below = height - self._radius - self.terrain.floor / self.scale
         of_passage = np.stack(
             [self.carried, np.clip(below, 0.0, BELOW), np.full(len(level), min(ahead, AHEAD)),
              sweep.layer(s, self.tool.strikes)], axis=1,
@@ -368,6 +405,16 @@ class Passage:
         )
         bins = sweep.channels(s, level)
         return sweep.Frame(bins[None], scalars[None].astype(np.float32))
+
+
+def _line(surface) -> tuple[float, float, float]:
+    """Of the line a + b u through the mean of the outermost of strips [J, n_bin], a and b; how far
+    the mean is from it at most, m of the field."""
+    mean, u = surface[[0, -1]].mean(axis=0), sweep.GRID.offsets
+    middle = u.mean()
+    slope = float((u - middle) @ mean / ((u - middle) @ (u - middle)))
+    height = float(mean.mean()) - slope * middle
+    return height, slope, float(np.abs(mean - height - slope * u).max())
 
 
 def refuse_far(scale: float, along: float) -> None:

@@ -23,11 +23,15 @@ class Place(NamedTuple):
     Attributes:
       origin: [3] of the world, m: where u and the distance across are 0; its height is 0.
       along, across: [3] unit vectors, level.
+      grade: rise of the ground per way. What is seen `laid` has that ground level.
+      height: of that ground over the origin, m.
     """
 
     origin: np.ndarray
     along: np.ndarray
     across: np.ndarray
+    grade: float = 0.0
+    height: float = 0.0
 
     @property
     def axes(self) -> np.ndarray:
@@ -45,6 +49,30 @@ class Place(NamedTuple):
     def vectors(self, vectors) -> np.ndarray:
         """Vectors [..., 3] along, up, across in axes of the world."""
         return np.asarray(vectors, np.float64) @ self.axes
+
+    def relaid(self, height: float, slope: float) -> 'Place':
+        """The same on another ground, a line height + slope * u (m) as it is seen `laid`."""
+        c, s, over = self.cosine, self.grade * self.cosine, height - self.height
+        grade = (self.grade + slope) / (1.0 - self.grade * slope)
+        return self._replace(grade=grade, height=self.height + c * over + grade * s * over)
+
+    @property
+    def cosine(self) -> float:
+        """Of the angle of the graded ground."""
+        return 1.0 / float(np.hypot(1.0, self.grade))
+
+    def laid(self, local) -> np.ndarray:
+        """Points [..., 3] of `local`, along the graded ground, square to it and across."""
+        u, y, across = np.moveaxis(local, -1, 0)
+        over, c, s = y - self.height, self.cosine, self.grade * self.cosine
+        return np.stack([c * u + s * over, self.height - s * u + c * over, across], axis=-1)
+
+    def raised(self, vectors) -> np.ndarray:
+        """Vectors [..., 3] along the graded ground, square to it and across, in axes of the
+        world."""
+        on, off, across = np.moveaxis(np.asarray(vectors, np.float64), -1, 0)
+        c, s = self.cosine, self.grade * self.cosine
+        return self.vectors(np.stack([c * on - s * off, s * on + c * off, across], axis=-1))
 
     def turns(self, pose) -> np.ndarray:
         """Lean, yaw and roll [..., 3] (rad) of poses [..., 7].

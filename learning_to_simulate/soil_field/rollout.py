@@ -178,7 +178,7 @@ def roll_out(
     for t in range(len(path)):
         frames.append(step(t) if t else stepper.start(path[0]))
         if followed is not None and t:
-            if stepper.place is not place:
+            if place is None or stepper.place.origin is not place.origin:
                 followed.begin(frames[-1].pose)
             else:
                 followed.step(frames[-1].pose, dt)

@@ -99,7 +99,7 @@ class SoilStepper:
         place = None if self._tracer is None else self._engine.place
         self._frame = frame = self._engine.step(pose, dt)
         if place is not None:
-            if self._engine.place is not place:
+            if self._engine.place.origin is not place.origin:
                 self._tracer = self._traced()
             else:
                 self._tracer.step(frame.pose, dt)

@@ -71,6 +71,7 @@ class Tool(abc.ABC):
     # Over the floor, and of the maps, that it was taught, m of the field.
     least_soil: ClassVar[float]
     largest_cell: ClassVar[float]
+    turns: ClassVar[tuple[float, float]]  # that it was taught, of `Passage.turning`
     # Over the soil, m of the field, beyond all that it was taught: what it has moved stays.
     lifted: ClassVar[float]
     # Over the terrain, m of the field, up to where it strikes off what it has moved; 0: not at all.
@@ -95,6 +96,11 @@ class Tool(abc.ABC):
     def turn(self, step) -> np.ndarray:
         """x of (7) of `sweep` [...], in lengths of the field, of changes [..., 3] of u, y (m of the
         field) and lean (rad)."""
+
+    def leans(self, lean: float) -> float:
+        """How far it leans (rad) to the side to which all taught ones do: a plate back, a bucket
+        forward; 0 of a tool that rolls."""
+        return 0.0
 
     @abc.abstractmethod
     def values(self, soil: Soil) -> np.ndarray:
@@ -122,7 +128,7 @@ class Blade(Tool):
     columns = 5
     bears = False
     least_soil = 0.05
-    largest_cell = 0.04
+    largest_cell, turns = 0.04, (-0.55, 0.55)
     lifted = strikes = 0.04
     renewed_after = 0.6
     taught_widths: ClassVar = (0.15, 0.6)
@@ -139,6 +145,9 @@ class Blade(Tool):
     @property
     def scale(self):
         return self.width / float(np.clip(self.width, *self.taught_widths))
+
+    def leans(self, lean):
+        return -lean if self.bucket else lean
 
     def turn(self, step):
         """See `Tool`: 0.1 m times the change of lean."""
@@ -170,7 +179,7 @@ class Wheel(Tool):
     columns = 1
     bears = True
     least_soil = 0.008
-    largest_cell = 0.052
+    largest_cell, turns = 0.052, (-0.7, 0.85)
     lifted = 0.03
     strikes = 0.0
     renewed_after = np.inf  # its rut keeps its volume as it is

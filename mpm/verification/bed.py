@@ -101,7 +101,7 @@ def settled_soil(box: Bin, particles: np.ndarray, soil: Soil) -> dict:
         make_block(particles), nodes.velocity, grid, 0.5, volume, soil, status
     )
     before = nodes.velocity.reshape(-1, 4).copy()
-    free, _ = start_nodes(nodes, grid, extent, 0.0)
+    free, _ = start_nodes(nodes, grid, extent, 0.0, 0.0)
     held = before[:, 3] > 0.0
     held[nodes.free[:free] // 4] = False
     # What the walls take, and the weight of the soil that sits on their own nodes.

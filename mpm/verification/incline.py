@@ -132,18 +132,16 @@ class Incline:
         self._fold(nodes.velocity)
         last = FIRST + self._cells + COPIES
         box = (FIRST, last[0], *touched_box[2:4], FIRST, last[1])
-        free, touched = start_nodes(nodes, grid, box, 0.5 * dt * down)
-        force, velocity = nodes.force.reshape(-1, 4), nodes.velocity.reshape(-1, 4)
-        moving = (nodes.free[:free] // 4).astype(np.int64)
+        free, touched = start_nodes(nodes, grid, box, 0.5 * dt * along, 0.5 * dt * down)
         for k in range(self._steps + 1):
             if k > 0:
                 damping = damping_time(self.soil, grid.dx)
                 strain_and_force(block, nodes, grid, dt, self._volume, self.soil, damping)
                 self._fold(nodes.force)
-            force[moving, 0] += along / velocity[moving, 3]  # m g; a node keeps 1 / m
             share = dt if 0 < k < self._steps else 0.5 * dt
             drift = dt if k < self._steps else 0.0
-            kick(nodes, grid, free, share, down if k > 0 else 0.0, settling, drift)
+            pull = 1.0 if k > 0 else 0.0
+            kick(nodes, grid, free, share, pull * along, pull * down, settling, drift)
         grid_to_particles(block, nodes.velocity, nodes.displacement, grid)
         clear(nodes, touched)
         self.particles = block.particles

@@ -1,13 +1,13 @@
-"""Two bodies in one bin: each as if it were the first, and nothing changes for one alone."""
+"""Gravity that leans; two bodies in one bin, each of them as if it were the first."""
 
 import numpy as np
 import pytest
 
-from mpm import bodies, packing
+from mpm import bodies, columns, experiments, packing
 from mpm.grid import make_grid
 from mpm.motions.drive import poses
 from mpm.scenes import CORNER, EARTH_GRAVITY, Bin
-from mpm.solver import Solver
+from mpm.solver import EXCHANGE, Solver
 from tests.mpm import small
 
 BOX = Bin((1.2, 0.12, 0.24), 0.04, 0.04, (30, 3, 6), 1, 0.4, ())
@@ -58,3 +58,14 @@ def test_a_second_one_in_the_air_changes_no_bit():
 def test_bodies_that_touch_the_same_soil_are_refused():
     with pytest.raises(ValueError, match='so close that both may touch'):
         pushed(BLADE, NEAR)
+
+
+@pytest.mark.parametrize('slope', [0.0, 0.3, -0.2])
+def test_soil_in_the_air_falls_where_gravity_leans(slope):
+    soil = experiments.weightless_soil()
+    block = soil.solver.block(soil.particles)
+    soil.solver.advance(block, 12, EARTH_GRAVITY, slope=slope)
+    fallen = block.particles[:, columns.V : columns.V + 3]
+    speed = 12 * EXCHANGE * EARTH_GRAVITY
+    wanted = speed * np.array([np.sin(slope), -np.cos(slope), 0.0])
+    np.testing.assert_allclose(fallen, np.tile(wanted, (len(fallen), 1)), atol=1e-4 * speed)

@@ -257,7 +257,7 @@ def _ground(cell=0.02):
 
 
 # Down, then along and up, in N steps with a velocity and a turn about z.
-WAYS = [(20, [-0.3, -0.15, 0.0], 0.5), (40, [-0.4, 0.0, 0.0], -0.6), (6, [-0.3, 0.05, 0.5], 0.0)]
+WAYS = [(20, [-0.3, -0.15, 0.0], 0.6), (40, [-0.4, 0.0, 0.0], -0.25), (6, [-0.3, 0.05, 0.5], 0.0)]
 
 
 def _go(start):

@@ -22,6 +22,7 @@ from tests.learning_to_simulate.soil_field.scenes import hills, poses
 pytestmark = worlds.needs_c
 BLADE = Blade(0.3, bucket=1.0)
 WHEEL = Wheel(0.1, 0.08, 12, 0.008)
+PLATE = dataclasses.replace(BLADE, bucket=0.0, plates=0.0)
 TOOLS = {'blade': BLADE, 'wheel': WHEEL}
 DT = 0.1
 
@@ -139,7 +140,7 @@ def test_frames_as_the_networks_see_them_and_what_these_say():
         assert 0.1 < np.mean(wanted == 0) < 0.9
         np.testing.assert_allclose(risen, wanted, atol=1e-6)
         assert np.mean((risen == 0) == (wanted == 0)) > 0.99  # at the edge by round-off
-        np.testing.assert_allclose(np.concatenate(c.place), np.concatenate(tf.place), atol=1e-15)
+        np.testing.assert_allclose(c.place[:3], tf.place[:3], atol=1e-15)
 
 
 @pytest.mark.parametrize('ground', [flat, hills])
@@ -450,7 +451,7 @@ def test_all_numbers_that_are_judged_flag_word_for_word(tool):
 
 def test_flags_word_for_word():
     for turn, name in (([0, 0.1, 0], 'yaw'), ([0.06, 0, 0], 'roll'), (None, 'aside')):
-        pair = both(hills())
+        pair = both(hills(), PLATE)
         frame, _ = drive(pair, path(15, 0.2))
         pose = np.array(frame.pose)
         if turn is None:
@@ -474,12 +475,12 @@ def test_flags_word_for_word():
 )
 def test_places_that_training_did_not_have_are_flagged_word_for_word(name, terrain, shift):
     way = path(15, 0.2)
-    frame, _ = drive(both(terrain), way, shift=(0.0, 0.0, shift))
+    frame, _ = drive(both(terrain, PLATE), way, shift=(0.0, 0.0, shift))
     assert frame.reason.startswith(f'{name} 0.0') and frame.status == 'extrapolating'
-    frame, _ = drive(both(flat()), way)
+    frame, _ = drive(both(flat(), PLATE), way)
     assert frame.status == 'ok'
     # High in the air a tool may be anywhere.
-    pair, high = both(terrain), [[u, 0.5, 0.1] for u in (0.0, 0.05)]
+    pair, high = both(terrain, PLATE), [[u, 0.5, 0.1] for u in (0.0, 0.05)]
     for pose in poses(high, shift=(0.0, 0.0, shift)):
         for one in pair:
             one.step(pose, DT) if one._frame else one.start(pose)
@@ -488,7 +489,7 @@ def test_places_that_training_did_not_have_are_flagged_word_for_word(name, terra
 
 
 def test_another_tool_close_by_is_flagged():
-    pair = both(flat())
+    pair = both(flat(), PLATE)
     frame, _ = drive(pair, path(15, 0.2))
     others = [SoilStepper(field(), one.terrain, Blade(0.2), engine=kind)
               for one, kind in zip(pair, ('c', 'tensorflow'))]  # fmt: skip

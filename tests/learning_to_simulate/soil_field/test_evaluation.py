@@ -179,6 +179,8 @@ def test_the_formula_of_a_blade_is_that_of_its_depth_and_heap():
     way = np.stack([np.linspace(0, 0.3, 61), np.full(61, -0.016), np.zeros(61)], axis=1)
     way[:4, 1] = 0.1, 0.08, 0.04, 0.014
     run = worlds.run(0, way=way)
+    bucket = dataclasses.replace(run.tool, radius=0.004, bucket=1.0)
+    assert evaluation.formula(run) and evaluation.formula(run._replace(tool=bucket)) is None
     force = evaluation._earthmoving(run)
     depth, heap = 0.03, 0.03 * (way[50, 0] + 0.01)
     soil = run.soil

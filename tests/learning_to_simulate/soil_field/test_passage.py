@@ -86,6 +86,42 @@ def test_a_scene_of_twice_the_size_is_the_same_in_other_units(one, other):
         np.testing.assert_allclose(a, b * (2 if b.ndim == 1 and b.dtype == float else 1))
 
 
+@pytest.mark.parametrize('grade', [0.02, -0.26])
+def test_an_even_slope_is_seen_as_level_ground(tool, grade):
+    """All but gravity is as on level ground, turned as a whole; a renewed passage stays laid."""
+    path, angle = path_of(tool), np.arctan(grade)
+    here, frames = walk(level(), tool, poses(path), rise=trench)
+    c, s = np.cos(angle), np.sin(angle)
+    u, y, lean = path.T
+    path = np.stack([c * u - s * y, s * u + c * y, lean + angle], axis=1)
+    slope = level()
+    slope.heights[:] = -grade * slope.middles[0][:, None]  # the way goes to -x
+    there, others = walk(slope, tool, poses(path), rise=trench)
+    scenes.assert_frames(others, frames)
+    assert there.place.grade == pytest.approx(grade) and here.place.grade == 0
+    assert there.slope == pytest.approx(0.0, abs=1e-9)
+    assert there.crossfall == pytest.approx(0.0, abs=1e-9)
+    here.update(), there.update()
+    risen = slope.heights + grade * slope.middles[0][:, None]
+    # Of (20): what is cut here; on places of the map, whose ways are shorter by the cosine.
+    dug = here.terrain.heights.sum()
+    assert risen.sum() == pytest.approx(dug, rel=0.02) and dug < -0.5
+    assert there.renewed(poses(path)[-1]).place is there.place
+    load = there.place.raised([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    np.testing.assert_allclose(load @ load.T, np.eye(3), atol=1e-15)
+    np.testing.assert_allclose(load[1] @ [1.0, -grade, 0.0], 0.0, atol=1e-15)
+
+
+@pytest.mark.parametrize('grade, bump', [(0.009, 0.0), (0.3, 0.0), (0.15, 0.03)])
+def test_a_slope_that_is_flat_steep_or_uneven_is_not_seen_as_level(grade, bump):
+    slope = level()
+    x = slope.middles[0][:, None]
+    slope.heights[:] = -grade * x + bump * np.exp(-((x + 0.3) ** 2) / 0.01)
+    passage = Passage(slope, TOOLS['blade'], poses([[0.0, 0.1, 0.0]])[0])
+    assert passage.place.grade == passage.place.height == 0.0
+    assert passage.slope == pytest.approx(grade, abs=0.03)
+
+
 def test_gravity_is_a_unit_of_time_and_friction_a_number(tool):
     moon = scenes.hills().clone(Soil(30.0, gravity=9.81 / 4))
     _, here = walk(scenes.hills(), tool, poses(path_of(tool)))

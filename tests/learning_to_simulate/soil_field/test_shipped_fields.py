@@ -348,17 +348,95 @@ def test_a_slope_across_a_wheel_is_flagged(fall, is_known):
 
 
 @pytest.mark.parametrize('engine', ['c', 'tensorflow'])
-@pytest.mark.parametrize('slope, is_known', [(0.08, True), (0.1, False), (-0.1, False)])
-def test_a_slope_along_the_way_of_a_blade_is_flagged(slope, is_known, engine):
-    """No run was taught one; the way goes to -x."""
+@pytest.mark.parametrize('name', TOOLS)
+@pytest.mark.parametrize('slope, laid', [(0.02, True), (0.1, True), (-0.26, True), (0.3, False)])
+def test_a_slope_along_the_way_is_seen_as_level_or_flagged(slope, laid, name, engine):
+    """Up to STEEP loads are those of level ground, turned; the way goes to -x."""
+    path = way(name, 40)
+    flat = model(name).stepper(ground(), TOOLS[name], engine=engine)
+    level = go(flat, poses(path), 0.1)
     soil = ground()
     soil.heights[:] = -slope * soil.middles[0][:, None]
+    angle = np.arctan(slope)
+    c, s = np.cos(angle), np.sin(angle)
+    u, y, lean = path.T
+    tool = model(name).stepper(soil, TOOLS[name], engine=engine)
+    path = np.stack([c * u - s * y, s * u + c * y, lean + angle], axis=1)
+    found = go(tool, poses(path), 0.1)
+    assert (tool.frame.now.status == 'ok') == laid
+    names = 'slope', 'bed_low'
+    assert laid or tool.frame.now.reason.startswith(names)
+    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])  # about the axis across, -z
+    turned = np.concatenate([level[:, :3] @ turn, level[:, 3:] @ turn], axis=1)
+    if laid:
+        np.testing.assert_allclose(found, turned, atol=2e-3 * np.abs(turned).max())
+        tool.particles()  # and soil moves along the slope
+        frame = tool.step(poses(path[-1:] + [0.02 * c, 0.02 * s, 0.0])[0], 0.1)
+        assert frame.force.any()
+    else:
+        assert np.abs(found - turned).max() > 0.02 * np.abs(turned).max()
+
+
+def test_a_wheel_goes_from_level_ground_onto_a_slope_and_back():
+    """Where all that is in sight has one grade again, the passage is laid on it."""
+    ends, slope, radius = (1.0, 2.9), 0.12, TOOLS['wheel'].radius
+    u = np.arange(0.0, 4.6, 0.02)
+    level = np.where((u > ends[0]) & (u < ends[1]), np.arctan(slope), 0.0)
+    rise = slope * np.clip(u - ends[0], 0.0, ends[1] - ends[0])
+    height = rise + (radius - DEPTH['wheel'] * np.minimum(3 * u, 1.0)) / np.cos(level)
+    lean = (level - u / 0.7 / radius) % (2 * np.pi) - np.pi
+    path = poses(np.stack([u, height, lean], axis=1), shift=(2.4, 0.0, 0.0))
+    found = {}
+    for engine in ('c', 'tensorflow'):
+        soil = lts.Terrain.flat((6.0, 1.6), corner=(-3.0, -0.8))
+        x = (2.4 - soil.middles[0])[:, None]
+        soil.heights[:] = slope * np.clip(x - ends[0], 0.0, ends[1] - ends[0])
+        tool = model('wheel').stepper(soil, TOOLS['wheel'], engine=engine)
+        frames = [tool.start(path[0])] + [tool.step(pose, 0.2) for pose in path[1:]]
+        known = np.array([frame.now.status == 'ok' for frame in frames])
+        # In sight is 0.7 m before the tool and as much behind it.
+        for low, high in ((0.3, 0.6), (1.9, 2.2), (3.8, 4.4)):
+            assert known[(u > low) & (u < high)].all()
+        for end in ends:
+            assert not known[(u > end + 0.1) & (u < end + 0.6)].any()
+        found[engine] = np.array([frame.force for frame in frames]), soil.heights
+    for c, tf in zip(*found.values()):
+        np.testing.assert_allclose(c, tf, atol=1e-3 * np.abs(tf).max())
+    off, on = (found['c'][0][(u > at) & (u < at + 0.3)].mean(axis=0) for at in (0.3, 1.9))
+    c, s = np.cos(level.max()), np.sin(level.max())
+    assert on @ [c, -s, 0.0] == pytest.approx(off[0], rel=0.1)  # the way goes to -x
+    assert on @ [s, c, 0.0] == pytest.approx(off[1], rel=0.05)
+
+
+@pytest.mark.parametrize('engine', ['c', 'tensorflow'])
+@pytest.mark.parametrize(
+    'bucket, lean, is_known',
+    [(0.0, 0.2, True), (0.0, -0.3, False), (1.0, 0.3, False), (1.0, -0.3, True)],
+)
+def test_a_plate_that_leans_forward_and_a_bucket_that_leans_back_are_flagged(
+    bucket, lean, is_known, engine
+):
+    """All plates that were taught lean back, all buckets forward."""
+    blade = lts.Blade(0.4, radius=0.004, bucket=1.0) if bucket else TOOLS['excavation']
     path = way('excavation', 40)
-    path[:, 1] += slope * path[:, 0]
-    tool = model('excavation').stepper(soil, TOOLS['excavation'], engine=engine)
+    path[:, 1:] += blade.radius - TOOLS['excavation'].radius, lean - path[0, 2]
+    tool = model('excavation').stepper(ground(), blade, engine=engine)
     go(tool, poses(path), 0.1)
     assert (tool.frame.now.status == 'ok') == is_known
-    assert is_known or tool.frame.now.reason.startswith(f'slope {slope} is outside')
+    assert is_known or tool.frame.now.reason.startswith('leans ')
+
+
+@pytest.mark.parametrize('engine', ['c', 'tensorflow'])
+@pytest.mark.parametrize('name, dt, turn', [('excavation', 0.1, 0.6), ('wheel', 0.2, -1.6)])
+def test_a_blade_that_turns_and_a_wheel_that_spins_on_the_spot_are_flagged(name, dt, turn, engine):
+    path = way(name, 80)[:70]
+    spot = np.repeat(path[-1:], 40, axis=0)
+    spot[:, 2] += np.linspace(0.0, turn, 40)
+    tool = model(name).stepper(ground(), TOOLS[name], engine=engine)
+    go(tool, poses(path), dt)
+    assert tool.frame.now.status == 'ok'
+    frames = [tool.step(pose, dt) for pose in poses(spot[1:])]
+    assert frames[-1].now.reason.startswith('turning ')
 
 
 @pytest.mark.parametrize(
@@ -372,7 +450,9 @@ def test_edges_between_those_of_plates_and_of_buckets_are_flagged(blade, is_know
     """Where none was taught: the force on a plate with an edge of 10 mm is off by half."""
     for engine in ('c', 'tensorflow'):
         tool = model('excavation').stepper(ground(), blade, engine=engine)
-        path = poses(way('excavation', 40))
+        path = way('excavation', 40)
+        path[:, 2] = -0.3 if blade.bucket else 0.2
+        path = poses(path)
         frames = [tool.start(path[0])] + [tool.step(pose, 0.1) for pose in path[1:]]
         assert (frames[-1].now.status == 'ok') == is_known
         assert is_known or all(f.now.reason.startswith('edge ') for f in frames)

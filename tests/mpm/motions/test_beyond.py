@@ -35,9 +35,12 @@ def test_each_blade_leaves_what_operators_draw():
             'aside': np.ptp(z) > 0.05,
             'narrow': 2 * motion.drive.body.half_width < 0.15,
             'wall': x.min() < scenes.CORNER + operator_paths.FRONT_ROOM / 2,
+            'uphill': motion.ground.slope_deg > 0,
+            'downhill': motion.ground.slope_deg < 0,
+            'turns': np.ptp(angle) > 0.5,
         }
         found = [key for key, is_left in left.items() if is_left]
-        assert found == ['soil' if name in ('loose', 'firm') else name]
+        assert found == {'loose': ['soil'], 'firm': ['soil'], 'usual': []}.get(name, [name])
 
 
 def test_each_wheel_leaves_what_drives_draw():
@@ -49,5 +52,8 @@ def test_each_wheel_leaves_what_drives_draw():
     assert 2 * found['wide'].drive.body.half_width > wheel_drives.WIDTHS[1]
     times = np.linspace(0.0, 5.0, 501)
     assert np.ptp(found['aside'].drive.pose(times)[:, 3]) > 0.015
-    with pytest.raises(ValueError, match='has the runs 0 to 6'):
-        catalogue.motion_of(WHEEL, 'beyond_0007')
+    spun = found['spins'].drive.pose(times)
+    assert np.ptp(spun[:, 0]) == 0 and np.ptp(spun[:, 2]) > 1.0
+    assert found['uphill'].ground.slope_deg == -found['downhill'].ground.slope_deg == 15.0
+    with pytest.raises(ValueError, match='has the runs 0 to 10'):
+        catalogue.motion_of(WHEEL, 'beyond_0011')

@@ -10,9 +10,10 @@
 #define LTS_SOIL_ROWS 5
 #define LTS_SOIL_LANES 48 /* places that go through a network at once: they stay in the first cache */
 
-/* The vertical plane of a passage: origin, and level unit vectors, x and z of each; m. Twin of `place.py`. */
+/* The vertical plane of a passage: origin, and level unit vectors, x and z of each; m; rise of its ground per way,
+ * cosine of its angle, and its height over the origin, m. Twin of `place.py`. */
 typedef struct {
-  double origin[2], along[2], across[2];
+  double origin[2], along[2], across[2], grade, cosine, height;
 } lts_place;
 
 /* What a passage is beside its bins; lengths of the field. Twin of `sweep.Sweep`, of whose columns all share
@@ -102,6 +103,9 @@ int lts_soil_unit_pose(const lts_pose *pose, lts_pose *out);
 int lts_place_of(const lts_pose *pose, lts_place *out);
 void lts_place_local(const lts_place *place, const double point[3], double out[3]);
 void lts_place_vector(const lts_place *place, const double vector[3], double out[3]);
+/* `Place.laid` and `raised`; from and to may be one. */
+void lts_place_laid(const lts_place *place, const double local[3], double out[3]);
+void lts_place_raised(const lts_place *place, const double vector[3], double out[3]);
 /* Lean, yaw and roll, rad. */
 void lts_place_turns(const lts_place *place, const lts_pose *pose, double out[3]);
 
@@ -143,12 +147,16 @@ void lts_soil_make_frame(lts_soil *soil, const lts_passage *p, int all);
 /* From one strip to all of them. */
 int lts_soil_n_strip(const lts_soil *soil);
 void lts_soil_take_all_strips(const lts_soil *soil, lts_passage *p);
+/* The line through the outermost strips: its slope; its height at the origin, and how far they are from it at most. */
+double lts_soil_line(const lts_soil *soil, const lts_passage *p, double *height, double *off);
+/* `Passage._ground`: whether its surface has another grade; the place on that. */
+int lts_soil_lay(const lts_soil *soil, const lts_passage *p, lts_place *out);
 int lts_soil_begin(lts_soil *soil, lts_passage *p, const lts_pose *pose, int set_down, const lts_place *place);
 int lts_soil_go(lts_soil *soil, lts_passage *p, const lts_pose *pose, double dt);
 void lts_soil_copy(const lts_soil *soil, lts_passage *to, const lts_passage *from);
 /* Whether its tool has cut and is lifted since. */
 int lts_soil_is_over(const lts_soil *soil, const lts_passage *p);
-/* Whether its way is long and its tool has just cut farther than before. */
+/* Whether its way is long, or its ground has another grade, and its tool has just cut farther than before. */
 int lts_soil_is_due(const lts_soil *soil, const lts_passage *p);
 
 /* lts_soil_table.c: inputs [n][ld] of places. offsets count from `base`; `other` are neighbours of strips, or null. */

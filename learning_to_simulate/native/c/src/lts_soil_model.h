@@ -22,7 +22,7 @@ enum {
 #define LTS_SOIL_CHANNELS 7
 #define LTS_SOIL_UNDER_ALONG 11 /* places at which soil is looked for that has risen under a tool in the air */
 #define LTS_SOIL_UNDER_ACROSS 5
-#define LTS_SOIL_CONDITIONS 9   /* the last of what is judged */
+#define LTS_SOIL_CONDITIONS 11  /* the last of what is judged */
 #define LTS_SOIL_JUDGED_SPEED 3 /* the number of the speed among what is judged */
 
 /* Scalars of a frame that come from the path; then memories [LTS_SOIL_MEMORIES][LTS_SOIL_MOTIONS], those of the
@@ -57,6 +57,7 @@ struct lts_soil_model {
   double taught_widths[2], rim, bucket_edge, lean_length, standard_density, standard_gravity;
   /* Passage. */
   double ahead, below_tool, even, max_step, set_down, factor[2]; /* factor: of (20) */
+  double flat, steep, plane;                                     /* of a slope that is seen as level */
   /* m over the soil; under a tool along the way; behind its foremost place; over the terrain; way of a passage. */
   double lifted, under, turned_back, strikes, renewed_after;
   /* Terrain: of soil that slides. */

@@ -12,10 +12,11 @@ int lts_soil_n_strip(const lts_soil *soil) {
 static void seen_pose(const lts_soil *soil, const lts_place *place, const lts_pose *pose, double out[3]) {
   double local[3], turns[3];
   lts_place_local(place, pose->position, local);
+  lts_place_laid(place, local, local);
   lts_place_turns(place, pose, turns);
   out[0] = local[0] / soil->scale;
   out[1] = local[1] / soil->scale;
-  out[2] = turns[0];
+  out[2] = turns[0] - atan(place->grade);
 }
 
 /* Of the strips under a tool: the first, and how many there are. */
@@ -65,9 +66,6 @@ int lts_soil_is_over(const lts_soil *soil, const lts_passage *p) {
   return 0;
 }
 
-int lts_soil_is_due(const lts_soil *soil, const lts_passage *p) {
-  return p->s.way > soil->model->renewed_after && foremost_of(soil, p) == p->s.pose[0] && !p->s.lifted;
-}
 
 /* Whether all strips are equal at a place. */
 static int is_even(const lts_soil *soil, const lts_place *place, double u) {
@@ -92,6 +90,60 @@ void lts_soil_copy(const lts_soil *soil, lts_passage *to, const lts_passage *fro
   memcpy(to->struck, from->struck, n);
 }
 
+double lts_soil_line(const lts_soil *soil, const lts_passage *p, double *height, double *off) {
+  const lts_soil_model *m = soil->model;
+  const double *last = p->surface + LTS_SOIL_ROW(soil, p->s.n_strip - 1);
+  const double middle = (lts_soil_offset(m, 0) + lts_soil_offset(m, m->n_bin - 1)) / 2.0;
+  double h = 0.0, uh = 0.0, uu = 0.0;
+  for (int k = 0; k < m->n_bin; ++k) {
+    const double u = lts_soil_offset(m, k) - middle, mean = (p->surface[k] + last[k]) / 2.0;
+    h += mean;
+    uh += u * mean;
+    uu += u * u;
+  }
+  const double slope = uh / uu;
+  *height = h / m->n_bin - slope * middle;
+  *off = 0.0;
+  for (int k = 0; k < m->n_bin; ++k) {
+    const double on = *height + slope * lts_soil_offset(m, k);
+    *off = fmax(*off, fabs((p->surface[k] + last[k]) / 2.0 - on));
+  }
+  return slope;
+}
+
+int lts_soil_lay(const lts_soil *soil, const lts_passage *p, lts_place *out) {
+  const lts_soil_model *m = soil->model;
+  const lts_place *old = &p->s.place;
+  double level, off;
+  const double slope = lts_soil_line(soil, p, &level, &off), grade = (old->grade + slope) / (1.0 - old->grade * slope);
+  if (!(fabs(slope) > m->flat && off <= m->plane && fabs(grade) <= m->steep)) return 0;
+  const double over = soil->scale * (level - slope * p->s.origin) - old->height;
+  *out = *old;
+  out->grade = grade;
+  out->cosine = 1.0 / hypot(1.0, grade);
+  out->height = old->height + old->cosine * over + grade * old->grade * old->cosine * over;
+  return 1;
+}
+
+int lts_soil_is_due(const lts_soil *soil, const lts_passage *p) {
+  lts_place other;
+  if (foremost_of(soil, p) != p->s.pose[0] || p->s.lifted) return 0;
+  return p->s.way > soil->model->renewed_after || lts_soil_lay(soil, p, &other);
+}
+
+/* Reads all bins; says whether heights are finite. */
+static int read_all(const lts_soil *soil, lts_passage *p) {
+  for (int j = 0; j < p->s.n_strip; ++j) {
+    for (int k = 0; k < soil->model->n_bin; ++k) {
+      const double u = p->s.origin + lts_soil_offset(soil->model, k);
+      const double height = lts_soil_read(soil, soil->terrain, &p->s.place, p->s.n_strip, j, u);
+      if (!isfinite(height)) return 0;
+      p->surface[LTS_SOIL_ROW(soil, j) + (size_t)k] = height;
+    }
+  }
+  return 1;
+}
+
 int lts_soil_begin(lts_soil *soil, lts_passage *p, const lts_pose *pose, int set_down, const lts_place *place) {
   const lts_soil_model *m = soil->model;
   lts_way *w = &p->s;
@@ -103,22 +155,22 @@ int lts_soil_begin(lts_soil *soil, lts_passage *p, const lts_pose *pose, int set
   lts_terrain_update(soil->terrain);
   double first[3], sum = 0.0, highest = -HUGE_VAL;
   seen_pose(soil, &w->place, pose, first);
-  memcpy(w->pose, first, sizeof first);
   w->origin = first[0];
   w->looks = m->n_column > 1;
   for (int k = 0; w->looks && k < m->n_bin; ++k) {
     w->looks = is_even(soil, &w->place, first[0] + lts_soil_offset(m, k));
   }
   w->n_strip = w->looks ? 1 : lts_soil_n_strip(soil);
-  for (int j = 0; j < w->n_strip; ++j) {
-    for (int k = 0; k < m->n_bin; ++k) {
-      const double u = w->origin + lts_soil_offset(m, k);
-      const double height = lts_soil_read(soil, soil->terrain, &w->place, w->n_strip, j, u);
-      if (!isfinite(height)) return LTS_ERROR_VALUE;
-      p->surface[LTS_SOIL_ROW(soil, j) + (size_t)k] = height;
-      sum += height;
-      highest = height > highest ? height : highest;
-    }
+  if (!read_all(soil, p)) return LTS_ERROR_VALUE;
+  if (!place && lts_soil_lay(soil, p, &w->place)) {
+    seen_pose(soil, &w->place, pose, first);
+    w->origin = first[0];
+    if (!read_all(soil, p)) return LTS_ERROR_VALUE;
+  }
+  memcpy(w->pose, first, sizeof first);
+  for (size_t i = 0; i < LTS_SOIL_ROW(soil, w->n_strip); ++i) {
+    sum += p->surface[i];
+    highest = p->surface[i] > highest ? p->surface[i] : highest;
   }
   w->level = sum / (w->n_strip * m->n_bin);
   if (set_down) w->pose[1] = fmax(first[1], highest + soil->radius + m->set_down);

@@ -25,6 +25,8 @@ int lts_place_of(const lts_pose *pose, lts_place *out) {
   out->across[1] = across[2] / length;
   out->along[0] = out->across[1];
   out->along[1] = -out->across[0];
+  out->grade = out->height = 0.0;
+  out->cosine = 1.0;
   return 1;
 }
 
@@ -46,6 +48,19 @@ void lts_place_vector(const lts_place *place, const double v[3], double out[3]) 
   out[0] = along * place->along[0] + across * place->across[0];
   out[1] = up;
   out[2] = along * place->along[1] + across * place->across[1];
+}
+
+void lts_place_laid(const lts_place *place, const double local[3], double out[3]) {
+  const double c = place->cosine, s = place->grade * c, u = local[0], over = local[1] - place->height;
+  out[0] = c * u + s * over;
+  out[1] = place->height - s * u + c * over;
+  out[2] = local[2];
+}
+
+void lts_place_raised(const lts_place *place, const double v[3], double out[3]) {
+  const double c = place->cosine, s = place->grade * c;
+  const double level[3] = {c * v[0] - s * v[1], s * v[0] + c * v[1], v[2]};
+  lts_place_vector(place, level, out);
 }
 
 void lts_place_turns(const lts_place *place, const lts_pose *pose, double out[3]) {

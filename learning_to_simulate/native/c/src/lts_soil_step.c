@@ -58,34 +58,22 @@ static double crossfall_of(const lts_soil *soil, const lts_passage *p) {
   const lts_terrain *t = soil->terrain;
   const lts_cells *c = &soil->cells[p->s.cells];
   const double cell = fmax(t->cell[0], t->cell[1]) / soil->scale, width = soil->width + cell;
+  const double fall = p->s.place.grade * p->s.place.cosine; /* along the way */
   double sum = 0.0, z = 0.0, h = 0.0, zz = 0.0, zh = 0.0;
   if (m->n_column > 1) return 0.0;
   for (int32_t k = 0; k < c->n; ++k) {
     const double part = 2.0 * c->across[k] / width, inside = 1.0 - part * part;
     if (!(inside > 0.0 && fabs(c->u[k] - p->s.pose[0]) <= m->crossed + cell)) continue;
     const double weight = inside * inside, at = weight * c->across[k];
+    const double height = c->before[k] / soil->scale - fall * c->u[k];
     sum += weight;
     z += at;
-    h += weight * c->before[k];
+    h += weight * height;
     zz += at * c->across[k];
-    zh += at * c->before[k];
+    zh += at * height;
   }
   sum = fmax(sum, 1e-12);
-  return fabs(zh - z / sum * h) / soil->scale / fmax(zz - z / sum * z, 1e-6 * sum) * soil->width;
-}
-
-/* `Passage.slope`: of the line through the mean of the outermost strips, along all bins. */
-static double slope_of(const lts_soil *soil, const lts_passage *p) {
-  const lts_soil_model *m = soil->model;
-  const double *last = p->surface + LTS_SOIL_ROW(soil, p->s.n_strip - 1);
-  const double middle = (lts_soil_offset(m, 0) + lts_soil_offset(m, m->n_bin - 1)) / 2.0;
-  double uh = 0.0, uu = 0.0;
-  for (int k = 0; k < m->n_bin; ++k) {
-    const double u = lts_soil_offset(m, k) - middle;
-    uh += u * (p->surface[k] + last[k]) / 2.0;
-    uu += u * u;
-  }
-  return uh / uu;
+  return fabs(zh - z / sum * h) / fmax(zz - z / sum * z, 1e-6 * sum) * soil->width;
 }
 
 /* What no network sees: `CONDITIONS` of field.py. */
@@ -93,7 +81,7 @@ static void find_conditions(const lts_soil *soil, const lts_passage *p, const lt
                             double found[LTS_SOIL_CONDITIONS]) {
   const lts_terrain *t = soil->terrain;
   const double *at = pose->position, half = soil->tool.width / 2.0;
-  double turns[3], local[3], beyond = 0.0, near = 0.0;
+  double turns[3], local[3], level, off, beyond = 0.0, near = 0.0;
   lts_place_turns(&p->s.place, pose, turns);
   lts_place_local(&p->s.place, at, local);
   for (int i = 0; i < 4; ++i) { /* both ends, x and z */
@@ -115,7 +103,10 @@ static void find_conditions(const lts_soil *soil, const lts_passage *p, const lt
   found[5] = near / soil->scale;
   found[6] = fmax(t->cell[0], t->cell[1]) / soil->scale;
   found[7] = crossfall_of(soil, p);
-  found[8] = slope_of(soil, p);
+  found[8] = lts_soil_line(soil, p, &level, &off);
+  const int is_blade = soil->model->kind == LTS_SOIL_BLADE;
+  found[9] = p->s.memory[LTS_SOIL_MEMORIES - 1][2];
+  found[10] = is_blade ? (soil->tool.bucket != 0.0 ? -p->s.pose[2] : p->s.pose[2]) : 0.0;
 }
 
 /* Scalars, ground and conditions [n_judged]; in the air all is free but what the tool is. bears: whether soil acts on
@@ -209,8 +200,8 @@ static void answer(lts_soil *soil, const lts_passage *p, const lts_pose *pose, c
   out->bound = members < soil->model->n_member || weights[0] < 0.0
                    ? NAN
                    : weights[0] * soil->units[0] + weights[1] * apart + weights[2] * size;
-  lts_place_vector(&p->s.place, mean, out->force);
-  lts_place_vector(&p->s.place, mean + 3, out->torque);
+  lts_place_raised(&p->s.place, mean, out->force);
+  lts_place_raised(&p->s.place, mean + 3, out->torque);
   /* A blade on its head may touch soil without a load. */
   judge(soil, p, pose, loaded ? share > 0.0 : -1, is_finite, soil->frame, &out->now);
   out->worst = before && rank(before) >= rank(&out->now) ? *before : out->now;
@@ -324,7 +315,9 @@ static int turns_away(lts_soil *soil, const lts_pose *pose, lts_passage **fresh)
 /* `Passage.renewed`, in the other place; numbers of cells that come out of sight go to `soil->gone`. */
 static int renew(lts_soil *soil, lts_passage **out, int32_t *n_gone) {
   const lts_way *old = &soil->passage[soil->now].s;
-  LTS_TRY(begin_other(soil, &soil->pose, 0, &old->place, out));
+  lts_place place = old->place;
+  lts_soil_lay(soil, &soil->passage[soil->now], &place);
+  LTS_TRY(begin_other(soil, &soil->pose, 0, &place, out));
   lts_passage *p = *out;
   memcpy(p->s.memory, old->memory, sizeof old->memory);
   p->s.speed = old->speed;
@@ -459,6 +452,7 @@ int lts_soil_reads(const lts_soil *soil, const lts_pose *pose) {
   const lts_way *way = &soil->passage[soil->now].s;
   double local[3];
   lts_place_local(&way->place, unit.position, local);
+  lts_place_laid(&way->place, local, local);
   if (soil->writes && (is_away(soil, &unit) || lts_soil_is_due(soil, &soil->passage[soil->now]))) return 1;
   return lts_soil_followed(soil->model, way->origin, local[0] / soil->scale) != way->origin;
 }
@@ -484,6 +478,7 @@ static void place_of_point(const void *of, size_t i, double out[3]) {
   const lts_passage *p = &w->soil->passage[w->soil->now];
   const double scale = w->soil->scale;
   lts_place_local(&p->s.place, w->points + 3 * i, out);
+  lts_place_laid(&p->s.place, out, out);
   out[0] = out[0] / scale - p->s.origin;
   out[1] = out[1] / scale - p->s.level;
   out[2] /= scale;
@@ -507,7 +502,7 @@ int lts_soil_displacement(lts_soil *soil, const double *points, size_t n, double
       memmove(to, from, 3 * sizeof *to);
       if (d[0] == 0.0f && d[1] == 0.0f && d[2] == 0.0f) continue;
       for (int k = 0; k < 3; ++k) local[k] = soil->scale * d[k];
-      lts_place_vector(&p->s.place, local, world);
+      lts_place_raised(&p->s.place, local, world);
       for (int k = 0; k < 3; ++k) to[k] += world[k];
     }
   }

@@ -240,8 +240,10 @@ static void see_past(lts_soil *soil, const lts_passage *p, size_t row) {
 static void see_scalars(lts_soil *soil, const lts_passage *p) {
   const lts_soil_model *m = soil->model;
   const lts_way *w = &p->s;
-  const double ahead = lts_terrain_ahead(soil->terrain, &w->place, soil->scale * w->pose[0]);
-  const double below = w->pose[1] - soil->radius - soil->terrain->floor / soil->scale;
+  const double c = w->place.cosine, ground = w->place.height / soil->scale;
+  const double ahead = lts_terrain_ahead(soil->terrain, &w->place, soil->scale * c * w->pose[0]);
+  const double height = ground + c * (w->pose[1] - ground + w->place.grade * w->pose[0]);
+  const double below = height - soil->radius - soil->terrain->floor / soil->scale;
   const double owed = lts_soil_owed(soil, p);
   /* Soil hardly knows time: a tool that is faster than any that was taught feels what the fastest did. */
   const double fastest = m->limits[3 * m->n_judged + LTS_SOIL_JUDGED_SPEED];

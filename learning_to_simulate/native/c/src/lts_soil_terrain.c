@@ -50,7 +50,8 @@ double lts_terrain_ahead(const lts_terrain *t, const lts_place *place, double u)
 double lts_soil_read(const lts_soil *soil, const lts_terrain *terrain, const lts_place *place, int n_strip,
                      int strip, double u) {
   const double centre = n_strip > 1 ? soil->centres[strip] : 0.0;
-  const double width = n_strip > 1 ? soil->widths[strip] : soil->width, along = soil->scale * u;
+  const double width = n_strip > 1 ? soil->widths[strip] : soil->width;
+  const double c = place->cosine, along = soil->scale * c * u, ground = place->height / soil->scale;
   double sum = 0.0;
   for (int i = 0; i < 5; ++i) {
     const double across = soil->scale * (centre + width * soil->model->across[i]);
@@ -58,7 +59,7 @@ double lts_soil_read(const lts_soil *soil, const lts_terrain *terrain, const lts
                           place->origin[0] + place->along[0] * along + place->across[0] * across,
                           place->origin[1] + place->along[1] * along + place->across[1] * across);
   }
-  return sum / 5.0 / soil->scale;
+  return ground + c * (sum / 5.0 / soil->scale - ground - place->grade * c * u);
 }
 
 int lts_soil_strip_at(const lts_soil *soil, int n_strip, double across, double *share) {
@@ -82,7 +83,7 @@ static double reach_across(const lts_soil *soil) {
 static void corners_of(const lts_soil *soil, const lts_place *place, double low, double high, double out[4][2]) {
   const double reach = reach_across(soil);
   for (int corner = 0; corner < 4; ++corner) {
-    const double u = soil->scale * (corner & 2 ? high : low);
+    const double u = soil->scale * place->cosine * (corner & 2 ? high : low);
     const double across = soil->scale * (corner & 1 ? reach : -reach);
     for (int i = 0; i < 2; ++i) {
       out[corner][i] = u * place->along[i] + across * place->across[i] + place->origin[i];
@@ -144,7 +145,7 @@ void lts_soil_look_around(lts_soil *soil, lts_passage *p) {
                                t->corner[1] + t->cell[1] * (j + 0.5)};
       double local[3];
       lts_place_local(place, point, local);
-      const double u = local[0] / soil->scale, across = local[2] / soil->scale;
+      const double u = local[0] / soil->scale / place->cosine, across = local[2] / soil->scale;
       if (!(u >= low && u <= high && fabs(across) <= reach)) continue;
       const int32_t number = i * t->n[1] + j;
       PASS_BY(old->number[k] < number)
@@ -201,6 +202,8 @@ int lts_soil_meet(lts_soil *soil, lts_passage *p) {
   if (high[0] < 0) return LTS_OK; /* a 0 with another sign */
   /* What has changed, as a terrain of its own with nothing about it. */
   lts_terrain box = *t;
+  lts_place bare = p->s.place; /* changes of height, not heights over its ground */
+  bare.grade = bare.height = 0.0;
   box.heights = soil->box;
   for (int i = 0; i < 2; ++i) {
     box.n[i] = high[i] - low[i] + 3;
@@ -221,7 +224,7 @@ int lts_soil_meet(lts_soil *soil, lts_passage *p) {
     double least = HUGE_VAL, most = -HUGE_VAL;
     for (int j = 0; j < all; ++j) {
       const double u = p->s.origin + lts_soil_offset(m, k);
-      const double read = lts_soil_read(soil, &box, &p->s.place, all, j, u);
+      const double read = lts_soil_read(soil, &box, &bare, all, j, u);
       soil->fresh[LTS_SOIL_ROW(soil, j) + (size_t)k] = read;
       least = fmin(least, read);
       most = fmax(most, read);
@@ -299,9 +302,10 @@ void lts_soil_write(lts_soil *soil) {
   const cells_in_sight sight = {c, p->s.origin};
   lts_soil_find(soil, p, 1, (size_t)c->n, place_of_cell, &sight, soil->risen);
   double up = 0.0, down = 0.0, factor = 1.0;
+  const double cosine = p->s.place.cosine;
   if (keeps_volume(soil, p)) { /* (20) */
     for (int32_t k = 0; k < c->n; ++k) {
-      const double rise = soil->risen[k];
+      const double rise = soil->risen[k] / cosine;
       up += rise > 0.0 ? rise : 0.0;
       down -= rise < 0.0 ? rise : 0.0;
     }
@@ -310,7 +314,7 @@ void lts_soil_write(lts_soil *soil) {
     factor = fmin(fmax(factor, m->factor[0]), m->factor[1]);
   }
   for (int32_t k = 0; k < c->n; ++k) {
-    const double rise = soil->risen[k];
+    const double rise = soil->risen[k] / cosine;
     const double h = c->before[k] + soil->scale * (rise > 0.0 ? factor * rise : rise);
     c->left[k] = t->heights[c->number[k]] = h < t->floor ? t->floor : h;
   }
