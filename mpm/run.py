@@ -72,8 +72,9 @@ def make_simulation(
     scene: scenes.Scene, motion: Motion, particles: np.ndarray, settings: Settings
 ) -> Simulation:
     """Returns the simulation of a motion (`prepared`) on a packing, float64 [N, COLUMNS]."""
-    soil = soil_of(motion, settings)
-    return Simulation(scene.bin, motion.drive, soil, particles, settings, *motion.ground[2:])
+    soil, ground = soil_of(motion, settings), motion.ground
+    pull = ground.gravity, ground.slope_deg
+    return Simulation(scene.bin, motion.drive, soil, particles, settings, *pull)
 
 
 def run_case(

@@ -48,7 +48,7 @@ class NriConfig(Settings):
       epochs, batch_size, seed: of the training.
       supervised: train the encoder alone, with the true edges.
       isotropic: whether no direction is special in the box that the objects move in: each sample is
-        then turned by a multiple of 90 degrees and mirrored at random, so runs count eight times.
+        then turned by a multiple of 90 degrees and mirrored at random; in a plane one counts eight.
       nodes: which nodes of a dataset of this project; see `nri.data`.
       modes: how many of its modes, the first ones; 0: all.
 

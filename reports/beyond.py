@@ -1,11 +1,12 @@
 """Whether the status of a soil field tells good frames from bad ones: runs that leave its data.
 
-Each run of kind `beyond` (`mpm/motions/beyond.py`) leaves in one way what fields were taught. The
+Each run of kind `beyond` (`mpm/motions/beyond.py`) but the usual one leaves in one way what fields
+were taught. The
 shipped fields roll out these and the test runs of the data of record; the errors of the frames that
 they flag stand beside those of frames that they do not.
 
 Examples:
-    python -m mpm.generate --scene=wheel --operator_seeds=0-6 --kinds=beyond --output_path=raw
+    python -m mpm.generate --scene=wheel --operator_seeds=0-10 --kinds=beyond --output_path=raw
     lts convert --raw_path=raw --like=datasets/wheel --output_path=datasets/wheel_beyond
     python -m reports beyond --output_path=docs/beyond.json
     python -m reports documents docs/results.md         # the table again, from the JSON

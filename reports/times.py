@@ -97,7 +97,7 @@ def field_jobs(folder: str, data_path: str) -> tuple[dict, dict]:
             begun = time.perf_counter()
             stepper.step(pose, run.dt)
             if followed is not None:
-                if stepper.place is place:
+                if stepper.place.origin is place.origin:
                     followed.step(pose, run.dt)
                 else:
                     followed.begin(pose)

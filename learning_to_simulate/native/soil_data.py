@@ -40,8 +40,8 @@ _CONSTANTS = {
         'STIR', 'BESIDE_RAMP', 'BELOW', 'BELOW_RAMP', 'LENGTH', 'NEIGHBOUR',
     ),
     passage: (
-        'AHEAD', 'EVEN', 'MAX_STEP', 'SET_DOWN', 'FACTOR', 'FLAT', 'STEEP', 'PLANE', 'UNDER',
-        'CROSSED',
+        'AHEAD', 'EVEN', 'MAX_STEP', 'SET_DOWN', 'FACTOR', 'FLAT', 'STEEP', 'RELAID',
+        'EVEN_SLOPE', 'UNDER', 'CROSSED',
     ),
     strips: ('N_BESIDE', 'BESIDE_WIDTH', 'ACROSS', 'BESIDE'),
     sweep: ('WINDOW', 'FORGET', 'MEMORIES', 'TOUCH', 'REACH', 'RISE'),

@@ -210,8 +210,8 @@ class TfEngine:
         found = [place.local(pose[:3])[2], max(beyond, 0.0),
                  max(passage.scale * self._tool.least_soil - over_floor, 0.0), max([0.0, *others]),
                  t.cell.max()]  # fmt: skip
-        others = passage.crossfall, passage.slope, passage.turning, passage.leans
-        return np.array([yaw, roll, *np.array(found) / passage.scale, *others])
+        of_passage = passage.crossfall, passage.slope, passage.turning, passage.leans
+        return np.array([yaw, roll, *np.array(found) / passage.scale, *of_passage])
 
     def _seen(self, passage, pose, before):
         frame = passage.frame
@@ -223,7 +223,7 @@ class TfEngine:
         mean = loads.mean(axis=0)
         values = self._field.judged(frame, self._conditions(passage, pose)[None], bears)
         now = self._field.limits.judge(values, self._number, bool(np.isfinite(mean).all()))
-        force, torque = passage.place.raised(mean[:3]), passage.place.raised(mean[3:])
+        force, torque = passage.place.unlaid(mean[:3]), passage.place.unlaid(mean[3:])
         spread = loads.std(axis=0)
         bound = self._field.bound(mean[:3], spread[:3], self._units[0], self._members)
         return SoilFrame(pose, force, torque, worse(before, now), now, spread, bound)
@@ -271,7 +271,7 @@ class TfAnchor:
         moved = self._field.displacement(passage, places, self._members)
         now = np.flatnonzero(moved.any(axis=1))
         # Those that rest are as they were, to the last bit.
-        points[now] = rest[now] + passage.place.raised(passage.scale * moved[now])
+        points[now] = rest[now] + passage.place.unlaid(passage.scale * moved[now])
         return points
 
     def clone(self, terrain) -> 'TfAnchor':

@@ -24,7 +24,7 @@ MARGIN = 0.05
 # passage; how far its ends stand out of the map; what is missing of the tool's `least_soil` between
 # it and the floor; by how much another tool is nearer than `APART`; the side of a cell, at most the
 # tool's `largest_cell`; `Passage.crossfall`; of no unit, `Passage.slope` and `turning`, in the
-# tool's `turns`; and, rad, `Passage.leans`.
+# tool's `taught_turning`; and, rad, `Passage.leans`.
 CONDITIONS = {
     'yaw': (-0.035, 0.035),
     'roll': (-0.035, 0.035),
@@ -91,7 +91,7 @@ class SoilField:
     @property
     def _known(self):
         tool = self.networks.tool
-        of_tool = {'cell': (0.0, tool.largest_cell), 'turning': tool.turns}
+        of_tool = {'cell': (0.0, tool.largest_cell), 'turning': tool.taught_turning}
         return self.ranges | CONDITIONS | of_tool
 
     def judged(self, frames: sweep.Frame, conditions=None, bears: bool | None = None) -> np.ndarray:

@@ -22,8 +22,8 @@ UNDER = 0.1  # m of the field along the way from a tool, where terrain counts as
 CROSSED = 0.05  # m of the field along the way from a tool, where terrain may fall across it
 BACK = 0.02  # m of the field behind its foremost place, from where a tool has turned back
 # A slope that is steeper than the first, not than the second, and even to so much (m of the field)
-# is seen as level: no run was taught one. The ground of runs has less.
-FLAT, STEEP, PLANE = 0.01, 0.27, 0.005
+# is seen as level: no run was taught one. Where it changes by so much a passage is renewed.
+FLAT, STEEP, EVEN_SLOPE, RELAID = 0.01, 0.27, 0.005, 0.04
 # Bounds of the factor by which a heap is drawn up for its volume: (20). On ways longer than any run
 # it must not pile up before the tool what that has left at its sides.
 FACTOR = 0.05, 4.0
@@ -56,6 +56,7 @@ class Passage:
       even: whether the terrain counts as level across the way, so that one strip as wide as the
         tool does; None: as long as it is.
       place: None for that of the pose.
+      lays: whether to see even slopes as level.
 
     Attributes:
       place, scale, strips: of the passage; from one strip it goes over to all of them where even
@@ -71,6 +72,7 @@ class Passage:
     def __init__(
         self, terrain: Terrain, tool: Tool, pose, rise: Callable | None = None,
         set_down: bool = True, even: bool | None = None, place: Place | None = None,
+        lays: bool = True,
     ):  # fmt: skip
         self.terrain, self.tool, self.scale = terrain, tool, tool.scale
         self._rise = rise
@@ -80,13 +82,17 @@ class Passage:
         # s of the field: in the root of scale over g.
         self._time = np.sqrt(STANDARD_GRAVITY / terrain.soil.gravity * self.scale)
         self._pose = self.seen(pose)
+        self._lays = lays
         self._looks = False  # whether to look if the terrain goes on being even
         if even is None and tool.columns > 1:
             self._looks = even = self._is_even(self._pose[0] + sweep.GRID.offsets)
         self._take(strips_lib.strips_of(tool, bool(even)))
-        if place is None:
+        if place is None and lays:
             self.place = self._ground(self._read(self._pose[0] + sweep.GRID.offsets), self._pose[0])
             self._pose = self.seen(pose)
+            if self._looks and not self._is_even(self._pose[0] + sweep.GRID.offsets):
+                self._looks = False
+                self._take(strips_lib.strips_of(tool))
         first = self._rows(self._pose)
         self.state = sweep.start(first, self._read)
         self.level = float(self.state.surface.mean())
@@ -135,7 +141,7 @@ class Passage:
         farther than before."""
         s, under = self.state, self.strips.under
         is_new = s.foremost[under].max() == s.tip[0]
-        is_other = self._ground(s.surface, s.origin[0]) is not self.place
+        is_other = self._ground(s.surface, s.origin[0], RELAID) is not self.place
         is_due = s.way[0] > self.tool.renewed_after or is_other
         return bool(is_due and is_new and not self.is_lifted)
 
@@ -143,8 +149,14 @@ class Passage:
         """The passage that goes on from its pose [7], on the terrain as it is by now."""
         self.update()
         place = self._ground(self.state.surface, self.state.origin[0])
-        other = Passage(self.terrain, self.tool, pose, self._rise, set_down=False, place=place)
-        other.remember(self.state.memory[0], self.state.speed[0])
+        other = Passage(
+            self.terrain, self.tool, pose, self._rise, set_down=False, place=place, lays=self._lays
+        )
+        change = np.arctan(place.grade) - np.arctan(self.place.grade)
+        (along, up), c, s = self.state.memory[0, :, :2].T, np.cos(change), np.sin(change)
+        memory = self.state.memory[0].copy()  # seen from the new ground
+        memory[:, :2] = np.stack([c * along + s * up, c * up - s * along], axis=1)
+        other.remember(memory, self.state.speed[0])
         other.gone = np.setdiff1d(self._cells, other._cells, assume_unique=True)
         return other
 
@@ -177,8 +189,10 @@ class Passage:
     @property
     def slope(self) -> float:
         """Of the terrain before the tool along the way, against its grade: of the line a + b u that
-        fits the mean of the outermost strips best over all bins, b."""
-        return _line(self.state.surface)[1]
+        fits the mean of the outermost strips best over all bins, b; over STEEP the whole grade."""
+        slope, grade = _line(self.state.surface)[1], self.place.grade
+        whole = (grade + slope) / (1.0 - grade * slope)
+        return whole if abs(whole) > STEEP else slope
 
     @property
     def turning(self) -> float:
@@ -190,10 +204,10 @@ class Passage:
         """See `Tool.leans`, rad."""
         return self.tool.leans(float(self.state.pose[0, 2]))
 
-    def _ground(self, surface, origin) -> Place:
-        """The place on the ground of a surface [J, n_bin] about an origin, if that has one."""
+    def _ground(self, surface, origin, least=FLAT) -> Place:
+        """The place on the ground of a surface [J, n_bin] about an origin, if it slopes by more."""
         height, slope, off = _line(surface)
-        if abs(slope) <= FLAT or off > PLANE:
+        if not self._lays or abs(slope) <= least or off > EVEN_SLOPE:
             return self.place
         place = self.place.relaid(self.scale * (height - slope * origin), slope)
         return place if abs(place.grade) <= STEEP else self.place
@@ -203,7 +217,7 @@ class Passage:
         strips = strips_lib.strips_of(self.tool)
         u = np.broadcast_to(u, (len(strips.centres), len(u)))
         read = strips_lib.heights(self.terrain, self.place, self.scale, strips, u)
-        return bool(np.ptp(read, axis=0).max(initial=0.0) <= EVEN)
+        return bool(self.place.cosine * np.ptp(read, axis=0).max(initial=0.0) <= EVEN)
 
     def _take(self, strips):
         self.strips = strips
@@ -256,6 +270,10 @@ class Passage:
                 self._look_ahead(to)
             self._owed, self._owed_at = self._owed_now, self.state.travelled[0]
         self._advance(self._rows(coming), self.tool.turn(change), dt / self._time)
+        if self.place.grade and not sweep.all_cut(self.state).any():
+            # What is set down straight down on a slope goes back along it: not in the soil.
+            foremost = np.minimum(self.state.foremost, self.state.tip)
+            self.state = self.state._replace(foremost=foremost)
         self._pose = coming
         self.gone = self.gone[:0]
         if to != origin:
@@ -314,11 +332,12 @@ class Passage:
         bins = self.state.origin[0] + sweep.GRID.offsets
         bins = np.broadcast_to(bins, (len(across.centres), len(bins)))
         read = strips_lib.heights(Terrain(box, t.cell, first), self.place, self.scale, across, bins)
+        read *= self.place.cosine
         if self._looks and np.ptp(read, axis=0).max() > EVEN:
             self._take_all()
         if len(self._radius) != len(read):
             read = read[across.under].mean(axis=0, keepdims=True)
-        state, read = self.state, self.place.cosine * read
+        state = self.state
         self.state = state._replace(surface=state.surface + read, profile=state.profile + read)
 
     def update(self) -> None:

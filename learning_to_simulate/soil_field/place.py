@@ -67,7 +67,7 @@ class Place(NamedTuple):
         over, c, s = y - self.height, self.cosine, self.grade * self.cosine
         return np.stack([c * u + s * over, self.height - s * u + c * over, across], axis=-1)
 
-    def raised(self, vectors) -> np.ndarray:
+    def unlaid(self, vectors) -> np.ndarray:
         """Vectors [..., 3] along the graded ground, square to it and across, in axes of the
         world."""
         on, off, across = np.moveaxis(np.asarray(vectors, np.float64), -1, 0)

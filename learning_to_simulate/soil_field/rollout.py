@@ -32,7 +32,7 @@ class TerrainRollout(Judged):
       frames: int [F], frames of the maps.
       heights: float32 [F, nx, nz], m.
       frame_status: T statuses of the frames alone.
-      spread: float64 [T, 3], N, standard deviation of the force over members, along, up, across.
+      spread: float64 [T, 3], N, standard deviation of the force over members, see `SoilFrame`.
       bound: float64 [T], N, of the error of the force, see `SoilField.bound`.
       judgement: the worst, and where it is first.
       dt: s of a frame.

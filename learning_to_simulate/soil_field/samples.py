@@ -62,7 +62,7 @@ class Walk:
     def __init__(self, run: Run, start: int = 0, set_down: bool = True):
         self._run, self.frame_number = run, start
         terrain = run.terrain(start) if start else run.before()
-        self.passage = Passage(terrain, run.tool, run.pose[start], set_down=set_down)
+        self.passage = Passage(terrain, run.tool, run.pose[start], set_down=set_down, lays=False)
         self._all = np.arange(terrain.heights.size)
 
     def go_on(self) -> None:

@@ -71,7 +71,7 @@ class Tool(abc.ABC):
     # Over the floor, and of the maps, that it was taught, m of the field.
     least_soil: ClassVar[float]
     largest_cell: ClassVar[float]
-    turns: ClassVar[tuple[float, float]]  # that it was taught, of `Passage.turning`
+    taught_turning: ClassVar[tuple[float, float]]  # see `Passage.turning`
     # Over the soil, m of the field, beyond all that it was taught: what it has moved stays.
     lifted: ClassVar[float]
     # Over the terrain, m of the field, up to where it strikes off what it has moved; 0: not at all.
@@ -128,7 +128,7 @@ class Blade(Tool):
     columns = 5
     bears = False
     least_soil = 0.05
-    largest_cell, turns = 0.04, (-0.55, 0.55)
+    largest_cell, taught_turning = 0.04, (-0.55, 0.55)
     lifted = strikes = 0.04
     renewed_after = 0.6
     taught_widths: ClassVar = (0.15, 0.6)
@@ -179,7 +179,7 @@ class Wheel(Tool):
     columns = 1
     bears = True
     least_soil = 0.008
-    largest_cell, turns = 0.052, (-0.7, 0.85)
+    largest_cell, taught_turning = 0.052, (-0.7, 0.85)
     lifted = 0.03
     strikes = 0.0
     renewed_after = np.inf  # its rut keeps its volume as it is

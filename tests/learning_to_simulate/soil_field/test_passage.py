@@ -107,9 +107,44 @@ def test_an_even_slope_is_seen_as_level_ground(tool, grade):
     dug = here.terrain.heights.sum()
     assert risen.sum() == pytest.approx(dug, rel=0.02) and dug < -0.5
     assert there.renewed(poses(path)[-1]).place is there.place
-    load = there.place.raised([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    load = there.place.unlaid([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
     np.testing.assert_allclose(load @ load.T, np.eye(3), atol=1e-15)
     np.testing.assert_allclose(load[1] @ [1.0, -grade, 0.0], 0.0, atol=1e-15)
+
+
+def test_a_tool_that_is_set_down_uphill_has_not_turned_back():
+    slope, tool = level(), TOOLS['blade']
+    slope.heights[:] = -0.26 * slope.middles[0][:, None]
+    path = [[0.0, y, 0.2] for y in np.arange(0.3, -0.04, -0.02)]
+    passage, _ = walk(slope, tool, poses(path), rise=trench)
+    assert passage.place.grade and sweep.all_cut(passage.state).any()
+    back = passage.state.foremost.max() - passage.state.tip[0]
+    assert 0 <= back < 0.02
+
+
+def test_what_is_remembered_is_seen_from_a_new_ground():
+    tool, soil = TOOLS['wheel'], level()
+    passage, _ = walk(soil, tool, poses([[0.0, 0.08, 0.0], [0.1, 0.09, 0.1]]))
+    old = passage.state.memory[0]
+    passage.state = passage.state._replace(
+        surface=passage.state.surface + 0.2 * (passage.state.origin[0] + sweep.GRID.offsets)
+    )
+    other = passage.renewed(poses([[0.1, 0.09, 0.1]])[0])
+    assert other.place.grade == pytest.approx(0.2)
+    new = other.state.memory[0]
+    np.testing.assert_allclose(new[:, 2:], old[:, 2:])
+    turned = (old[:, 0] + 1j * old[:, 1]) * np.exp(-1j * np.arctan(0.2))
+    np.testing.assert_allclose(new[:, 0] + 1j * new[:, 1], turned)
+
+
+def test_ground_that_is_too_steep_as_a_whole_is_said():
+    slope = level()
+    slope.heights[:] = -0.25 * slope.middles[0][:, None]
+    passage = Passage(slope, TOOLS['blade'], poses([[0.0, 0.1, 0.0]])[0])
+    assert passage.place.grade == pytest.approx(0.25) and abs(passage.slope) < 1e-9
+    more = 0.05 * (passage.state.origin[0] + sweep.GRID.offsets)
+    passage.state = passage.state._replace(surface=passage.state.surface + more)
+    assert passage.slope == pytest.approx(0.3 / (1 - 0.0125))
 
 
 @pytest.mark.parametrize('grade, bump', [(0.009, 0.0), (0.3, 0.0), (0.15, 0.03)])

@@ -51,6 +51,12 @@ def go(tool, pose, dt=DT):
     return np.array([np.concatenate([f.force, f.torque]) for f in frames])
 
 
+def middle_of_cut(terrain, before):
+    """x, m, of the middle of what has been cut."""
+    cut = np.maximum(before - terrain.heights, 0.0).sum(axis=1)
+    return terrain.middles[0] @ cut / cut.sum()
+
+
 def lifted(tool, height=0.5, is_free=True):
     """Lifts a tool straight up, until it bears nothing; the terrain [nx, nz] at the end."""
     pose = np.array(tool.frame.pose)
@@ -356,12 +362,12 @@ def test_a_slope_along_the_way_is_seen_as_level_or_flagged(slope, laid, name, en
     flat = model(name).stepper(ground(), TOOLS[name], engine=engine)
     level = go(flat, poses(path), 0.1)
     soil = ground()
-    soil.heights[:] = -slope * soil.middles[0][:, None]
+    soil.heights[:] = before = 5.0 - slope * soil.middles[0][:, None] + 0 * soil.heights
     angle = np.arctan(slope)
     c, s = np.cos(angle), np.sin(angle)
     u, y, lean = path.T
     tool = model(name).stepper(soil, TOOLS[name], engine=engine)
-    path = np.stack([c * u - s * y, s * u + c * y, lean + angle], axis=1)
+    path = np.stack([c * u - s * y, 5.0 + s * u + c * y, lean + angle], axis=1)
     found = go(tool, poses(path), 0.1)
     assert (tool.frame.now.status == 'ok') == laid
     names = 'slope', 'bed_low'
@@ -370,6 +376,8 @@ def test_a_slope_along_the_way_is_seen_as_level_or_flagged(slope, laid, name, en
     turned = np.concatenate([level[:, :3] @ turn, level[:, 3:] @ turn], axis=1)
     if laid:
         np.testing.assert_allclose(found, turned, atol=2e-3 * np.abs(turned).max())
+        there, here = (middle_of_cut(t, old) for t, old in ((soil, before), (flat.terrain, 0.0)))
+        assert there == pytest.approx(c * here, abs=0.01)
         tool.particles()  # and soil moves along the slope
         frame = tool.step(poses(path[-1:] + [0.02 * c, 0.02 * s, 0.0])[0], 0.1)
         assert frame.force.any()

@@ -69,7 +69,7 @@ typedef struct {
   lts_pose pose;     /* of the tool, its quaternion of length 1 */
   double force[3];   /* of the soil on the tool, world, N */
   double torque[3];  /* about the position of the pose, N m */
-  double spread[6];  /* standard deviation over members of force and torque, along, up, across */
+  double spread[6];  /* standard deviation over members of force and torque: along and square to the ground, across */
   double bound;      /* N, kept by the error of the force in 95 % of the frames of 9 of 10 runs that are like those
                       * of training; not a number where it is not known, as for fewer members than all */
   int32_t frame;     /* steps since the start */
@@ -143,7 +143,7 @@ LTS_API int lts_soil_displacement(lts_soil *soil, const double *points, size_t n
 /* What the networks see: float bins [J][n_bin][n_channel] and scalars [J][n_scalar] of J strips; either may be null.
  * Returns J. */
 LTS_API int lts_soil_see(lts_soil *soil, float *bins, float *scalars);
-/* Loads [M][6] of the members that answer, along, up, across: N, N m of the field. */
+/* Loads [M][6] of the members that answer: along and square to the ground, across; N, N m of the field. */
 LTS_API int lts_soil_loads(lts_soil *soil, float *out);
 /* How far the surface has risen at n places [n][2] u from the origin of the bins and across, m of the field. */
 LTS_API int lts_soil_rise(lts_soil *soil, const double *places, size_t n, float *out);

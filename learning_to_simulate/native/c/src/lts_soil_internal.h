@@ -103,9 +103,9 @@ int lts_soil_unit_pose(const lts_pose *pose, lts_pose *out);
 int lts_place_of(const lts_pose *pose, lts_place *out);
 void lts_place_local(const lts_place *place, const double point[3], double out[3]);
 void lts_place_vector(const lts_place *place, const double vector[3], double out[3]);
-/* `Place.laid` and `raised`; from and to may be one. */
+/* `Place.laid` and `unlaid`; from and to may be one. */
 void lts_place_laid(const lts_place *place, const double local[3], double out[3]);
-void lts_place_raised(const lts_place *place, const double vector[3], double out[3]);
+void lts_place_unlaid(const lts_place *place, const double vector[3], double out[3]);
 /* Lean, yaw and roll, rad. */
 void lts_place_turns(const lts_place *place, const lts_pose *pose, double out[3]);
 
@@ -149,8 +149,8 @@ int lts_soil_n_strip(const lts_soil *soil);
 void lts_soil_take_all_strips(const lts_soil *soil, lts_passage *p);
 /* The line through the outermost strips: its slope; its height at the origin, and how far they are from it at most. */
 double lts_soil_line(const lts_soil *soil, const lts_passage *p, double *height, double *off);
-/* `Passage._ground`: whether its surface has another grade; the place on that. */
-int lts_soil_lay(const lts_soil *soil, const lts_passage *p, lts_place *out);
+/* `Passage._ground`: whether its surface has a slope of at least so much; the place on that, or its own. */
+int lts_soil_lay(const lts_soil *soil, const lts_passage *p, double least, lts_place *out);
 int lts_soil_begin(lts_soil *soil, lts_passage *p, const lts_pose *pose, int set_down, const lts_place *place);
 int lts_soil_go(lts_soil *soil, lts_passage *p, const lts_pose *pose, double dt);
 void lts_soil_copy(const lts_soil *soil, lts_passage *to, const lts_passage *from);

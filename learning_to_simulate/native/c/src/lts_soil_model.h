@@ -57,7 +57,7 @@ struct lts_soil_model {
   double taught_widths[2], rim, bucket_edge, lean_length, standard_density, standard_gravity;
   /* Passage. */
   double ahead, below_tool, even, max_step, set_down, factor[2]; /* factor: of (20) */
-  double flat, steep, plane;                                     /* of a slope that is seen as level */
+  double flat, steep, relaid, even_slope;                        /* of a slope that is seen as level */
   /* m over the soil; under a tool along the way; behind its foremost place; over the terrain; way of a passage. */
   double lifted, under, turned_back, strikes, renewed_after;
   /* Terrain: of soil that slides. */

@@ -55,17 +55,20 @@ static int lifts(const lts_soil *soil, const lts_passage *p, const double seen[3
   return bottom > sum / (count * m->n_bin) + least;
 }
 
-int lts_soil_is_over(const lts_soil *soil, const lts_passage *p) {
-  if (!p->s.lifted) return 0;
+/* Whether anything has been cut in n bins, or dropped. */
+static int has_cut(const lts_passage *p, size_t n) {
   for (int j = 0; j < p->s.n_strip; ++j) {
     if (p->s.dropped[j] > 0.0) return 1;
   }
-  for (size_t i = 0; i < LTS_SOIL_ROW(soil, p->s.n_strip); ++i) {
+  for (size_t i = 0; i < n; ++i) {
     if (p->profile[i] < p->surface[i]) return 1;
   }
   return 0;
 }
 
+int lts_soil_is_over(const lts_soil *soil, const lts_passage *p) {
+  return p->s.lifted && has_cut(p, LTS_SOIL_ROW(soil, p->s.n_strip));
+}
 
 /* Whether all strips are equal at a place. */
 static int is_even(const lts_soil *soil, const lts_place *place, double u) {
@@ -111,24 +114,24 @@ double lts_soil_line(const lts_soil *soil, const lts_passage *p, double *height,
   return slope;
 }
 
-int lts_soil_lay(const lts_soil *soil, const lts_passage *p, lts_place *out) {
+int lts_soil_lay(const lts_soil *soil, const lts_passage *p, double least, lts_place *out) {
   const lts_soil_model *m = soil->model;
-  const lts_place *old = &p->s.place;
+  const lts_place old = p->s.place;
   double level, off;
-  const double slope = lts_soil_line(soil, p, &level, &off), grade = (old->grade + slope) / (1.0 - old->grade * slope);
-  if (!(fabs(slope) > m->flat && off <= m->plane && fabs(grade) <= m->steep)) return 0;
-  const double over = soil->scale * (level - slope * p->s.origin) - old->height;
-  *out = *old;
+  const double slope = lts_soil_line(soil, p, &level, &off), grade = (old.grade + slope) / (1.0 - old.grade * slope);
+  *out = old;
+  if (!(fabs(slope) > least && off <= m->even_slope && fabs(grade) <= m->steep)) return 0;
+  const double over = soil->scale * (level - slope * p->s.origin) - old.height;
   out->grade = grade;
   out->cosine = 1.0 / hypot(1.0, grade);
-  out->height = old->height + old->cosine * over + grade * old->grade * old->cosine * over;
+  out->height = old.height + old.cosine * over + grade * old.grade * old.cosine * over;
   return 1;
 }
 
 int lts_soil_is_due(const lts_soil *soil, const lts_passage *p) {
   lts_place other;
   if (foremost_of(soil, p) != p->s.pose[0] || p->s.lifted) return 0;
-  return p->s.way > soil->model->renewed_after || lts_soil_lay(soil, p, &other);
+  return p->s.way > soil->model->renewed_after || lts_soil_lay(soil, p, soil->model->relaid, &other);
 }
 
 /* Reads all bins; says whether heights are finite. */
@@ -162,9 +165,13 @@ int lts_soil_begin(lts_soil *soil, lts_passage *p, const lts_pose *pose, int set
   }
   w->n_strip = w->looks ? 1 : lts_soil_n_strip(soil);
   if (!read_all(soil, p)) return LTS_ERROR_VALUE;
-  if (!place && lts_soil_lay(soil, p, &w->place)) {
+  if (!place && lts_soil_lay(soil, p, m->flat, &w->place)) {
     seen_pose(soil, &w->place, pose, first);
     w->origin = first[0];
+    for (int k = 0; w->looks && k < m->n_bin; ++k) {
+      w->looks = is_even(soil, &w->place, first[0] + lts_soil_offset(m, k));
+    }
+    w->n_strip = w->looks ? 1 : lts_soil_n_strip(soil);
     if (!read_all(soil, p)) return LTS_ERROR_VALUE;
   }
   memcpy(w->pose, first, sizeof first);
@@ -240,6 +247,10 @@ int lts_soil_go(lts_soil *soil, lts_passage *p, const lts_pose *pose, double dt)
   if (moves_on) LTS_TRY(follow(soil, p, to));
   soil->seen = NULL;
   lts_soil_advance(soil, p, coming, lts_soil_turn(soil, change), dt / soil->time);
+  /* What is set down straight down on a slope goes back along it: not in the soil. */
+  if (p->s.place.grade != 0.0 && !has_cut(p, LTS_SOIL_ROW(soil, p->s.n_strip))) {
+    for (int j = 0; j < p->s.n_strip; ++j) p->s.foremost[j] = fmin(p->s.foremost[j], p->s.pose[0]);
+  }
   p->s.n_gone = 0;
   if (moves_on) lts_soil_look_around(soil, p);
   p->s.stale = 1;

@@ -57,7 +57,7 @@ void lts_place_laid(const lts_place *place, const double local[3], double out[3]
   out[2] = local[2];
 }
 
-void lts_place_raised(const lts_place *place, const double v[3], double out[3]) {
+void lts_place_unlaid(const lts_place *place, const double v[3], double out[3]) {
   const double c = place->cosine, s = place->grade * c;
   const double level[3] = {c * v[0] - s * v[1], s * v[0] + c * v[1], v[2]};
   lts_place_vector(place, level, out);

@@ -104,6 +104,8 @@ static void find_conditions(const lts_soil *soil, const lts_passage *p, const lt
   found[6] = fmax(t->cell[0], t->cell[1]) / soil->scale;
   found[7] = crossfall_of(soil, p);
   found[8] = lts_soil_line(soil, p, &level, &off);
+  const double grade = p->s.place.grade, whole = (grade + found[8]) / (1.0 - grade * found[8]);
+  if (fabs(whole) > soil->model->steep) found[8] = whole;
   const int is_blade = soil->model->kind == LTS_SOIL_BLADE;
   found[9] = p->s.memory[LTS_SOIL_MEMORIES - 1][2];
   found[10] = is_blade ? (soil->tool.bucket != 0.0 ? -p->s.pose[2] : p->s.pose[2]) : 0.0;
@@ -200,8 +202,8 @@ static void answer(lts_soil *soil, const lts_passage *p, const lts_pose *pose, c
   out->bound = members < soil->model->n_member || weights[0] < 0.0
                    ? NAN
                    : weights[0] * soil->units[0] + weights[1] * apart + weights[2] * size;
-  lts_place_raised(&p->s.place, mean, out->force);
-  lts_place_raised(&p->s.place, mean + 3, out->torque);
+  lts_place_unlaid(&p->s.place, mean, out->force);
+  lts_place_unlaid(&p->s.place, mean + 3, out->torque);
   /* A blade on its head may touch soil without a load. */
   judge(soil, p, pose, loaded ? share > 0.0 : -1, is_finite, soil->frame, &out->now);
   out->worst = before && rank(before) >= rank(&out->now) ? *before : out->now;
@@ -315,11 +317,17 @@ static int turns_away(lts_soil *soil, const lts_pose *pose, lts_passage **fresh)
 /* `Passage.renewed`, in the other place; numbers of cells that come out of sight go to `soil->gone`. */
 static int renew(lts_soil *soil, lts_passage **out, int32_t *n_gone) {
   const lts_way *old = &soil->passage[soil->now].s;
-  lts_place place = old->place;
-  lts_soil_lay(soil, &soil->passage[soil->now], &place);
+  lts_place place;
+  lts_soil_lay(soil, &soil->passage[soil->now], soil->model->flat, &place);
   LTS_TRY(begin_other(soil, &soil->pose, 0, &place, out));
   lts_passage *p = *out;
-  memcpy(p->s.memory, old->memory, sizeof old->memory);
+  /* What it remembers is seen from the new ground. */
+  const double change = atan(place.grade) - atan(old->place.grade), on = cos(change), off = sin(change);
+  for (int i = 0; i < LTS_SOIL_MEMORIES; ++i) {
+    const double *of = old->memory[i];
+    const double seen[LTS_SOIL_MOTIONS] = {on * of[0] + off * of[1], on * of[1] - off * of[0], of[2], of[3]};
+    memcpy(p->s.memory[i], seen, sizeof seen);
+  }
   p->s.speed = old->speed;
   const lts_cells *left = &soil->cells[!p->s.cells], *c = &soil->cells[p->s.cells];
   *n_gone = 0;
@@ -502,7 +510,7 @@ int lts_soil_displacement(lts_soil *soil, const double *points, size_t n, double
       memmove(to, from, 3 * sizeof *to);
       if (d[0] == 0.0f && d[1] == 0.0f && d[2] == 0.0f) continue;
       for (int k = 0; k < 3; ++k) local[k] = soil->scale * d[k];
-      lts_place_raised(&p->s.place, local, world);
+      lts_place_unlaid(&p->s.place, local, world);
       for (int k = 0; k < 3; ++k) to[k] += world[k];
     }
   }
