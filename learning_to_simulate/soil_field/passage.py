@@ -190,8 +190,8 @@ class Passage:
     def slope(self) -> float:
         """Of the terrain before the tool along the way, against its grade: of the line a + b u that
         fits the mean of the outermost strips best over all bins, b; over STEEP the whole grade."""
-        slope, grade = _line(self.state.surface)[1], self.place.grade
-        whole = (grade + slope) / (1.0 - grade * slope)
+        height, slope, _ = _line(self.state.surface)
+        whole = self.place.relaid(height, slope).grade
         return whole if abs(whole) > STEEP else slope
 
     @property

@@ -147,9 +147,11 @@ void lts_soil_make_frame(lts_soil *soil, const lts_passage *p, int all);
 /* From one strip to all of them. */
 int lts_soil_n_strip(const lts_soil *soil);
 void lts_soil_take_all_strips(const lts_soil *soil, lts_passage *p);
-/* The line through the outermost strips: its slope; its height at the origin, and how far they are from it at most. */
-double lts_soil_line(const lts_soil *soil, const lts_passage *p, double *height, double *off);
-/* `Passage._ground`: whether its surface has a slope of at least so much; the place on that, or its own. */
+/* The line through the outermost strips: its slope, and its height at the origin. */
+double lts_soil_line(const lts_soil *soil, const lts_passage *p, double *height);
+/* Rise per way of what slopes on the ground of a place. */
+double lts_soil_whole_grade(const lts_place *place, double slope);
+/* `Passage._ground`: whether its surface is even and slopes by more than the least; the place on that, or its own. */
 int lts_soil_lay(const lts_soil *soil, const lts_passage *p, double least, lts_place *out);
 int lts_soil_begin(lts_soil *soil, lts_passage *p, const lts_pose *pose, int set_down, const lts_place *place);
 int lts_soil_go(lts_soil *soil, lts_passage *p, const lts_pose *pose, double dt);

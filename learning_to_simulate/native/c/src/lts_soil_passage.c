@@ -55,19 +55,19 @@ static int lifts(const lts_soil *soil, const lts_passage *p, const double seen[3
   return bottom > sum / (count * m->n_bin) + least;
 }
 
-/* Whether anything has been cut in n bins, or dropped. */
-static int has_cut(const lts_passage *p, size_t n) {
+/* Whether anything has been cut, or dropped. */
+static int has_cut(const lts_soil *soil, const lts_passage *p) {
   for (int j = 0; j < p->s.n_strip; ++j) {
     if (p->s.dropped[j] > 0.0) return 1;
   }
-  for (size_t i = 0; i < n; ++i) {
+  for (size_t i = 0; i < LTS_SOIL_ROW(soil, p->s.n_strip); ++i) {
     if (p->profile[i] < p->surface[i]) return 1;
   }
   return 0;
 }
 
 int lts_soil_is_over(const lts_soil *soil, const lts_passage *p) {
-  return p->s.lifted && has_cut(p, LTS_SOIL_ROW(soil, p->s.n_strip));
+  return p->s.lifted && has_cut(soil, p);
 }
 
 /* Whether all strips are equal at a place. */
@@ -93,7 +93,7 @@ void lts_soil_copy(const lts_soil *soil, lts_passage *to, const lts_passage *fro
   memcpy(to->struck, from->struck, n);
 }
 
-double lts_soil_line(const lts_soil *soil, const lts_passage *p, double *height, double *off) {
+double lts_soil_line(const lts_soil *soil, const lts_passage *p, double *height) {
   const lts_soil_model *m = soil->model;
   const double *last = p->surface + LTS_SOIL_ROW(soil, p->s.n_strip - 1);
   const double middle = (lts_soil_offset(m, 0) + lts_soil_offset(m, m->n_bin - 1)) / 2.0;
@@ -104,23 +104,26 @@ double lts_soil_line(const lts_soil *soil, const lts_passage *p, double *height,
     uh += u * mean;
     uu += u * u;
   }
-  const double slope = uh / uu;
-  *height = h / m->n_bin - slope * middle;
-  *off = 0.0;
-  for (int k = 0; k < m->n_bin; ++k) {
-    const double on = *height + slope * lts_soil_offset(m, k);
-    *off = fmax(*off, fabs((p->surface[k] + last[k]) / 2.0 - on));
-  }
-  return slope;
+  *height = h / m->n_bin - uh / uu * middle;
+  return uh / uu;
+}
+
+double lts_soil_whole_grade(const lts_place *place, double slope) {
+  return (place->grade + slope) / (1.0 - place->grade * slope);
 }
 
 int lts_soil_lay(const lts_soil *soil, const lts_passage *p, double least, lts_place *out) {
   const lts_soil_model *m = soil->model;
   const lts_place old = p->s.place;
-  double level, off;
-  const double slope = lts_soil_line(soil, p, &level, &off), grade = (old.grade + slope) / (1.0 - old.grade * slope);
+  double level;
+  const double slope = lts_soil_line(soil, p, &level), grade = lts_soil_whole_grade(&old, slope);
+  const double *last = p->surface + LTS_SOIL_ROW(soil, p->s.n_strip - 1);
   *out = old;
-  if (!(fabs(slope) > least && off <= m->even_slope && fabs(grade) <= m->steep)) return 0;
+  if (!(fabs(slope) > least && fabs(grade) <= m->steep)) return 0;
+  for (int k = 0; k < m->n_bin; ++k) {
+    const double on = level + slope * lts_soil_offset(m, k);
+    if (!(fabs((p->surface[k] + last[k]) / 2.0 - on) <= m->even_slope)) return 0;
+  }
   const double over = soil->scale * (level - slope * p->s.origin) - old.height;
   out->grade = grade;
   out->cosine = 1.0 / hypot(1.0, grade);
@@ -248,7 +251,7 @@ int lts_soil_go(lts_soil *soil, lts_passage *p, const lts_pose *pose, double dt)
   soil->seen = NULL;
   lts_soil_advance(soil, p, coming, lts_soil_turn(soil, change), dt / soil->time);
   /* What is set down straight down on a slope goes back along it: not in the soil. */
-  if (p->s.place.grade != 0.0 && !has_cut(p, LTS_SOIL_ROW(soil, p->s.n_strip))) {
+  if (p->s.place.grade != 0.0 && !has_cut(soil, p)) {
     for (int j = 0; j < p->s.n_strip; ++j) p->s.foremost[j] = fmin(p->s.foremost[j], p->s.pose[0]);
   }
   p->s.n_gone = 0;

@@ -81,7 +81,7 @@ static void find_conditions(const lts_soil *soil, const lts_passage *p, const lt
                             double found[LTS_SOIL_CONDITIONS]) {
   const lts_terrain *t = soil->terrain;
   const double *at = pose->position, half = soil->tool.width / 2.0;
-  double turns[3], local[3], level, off, beyond = 0.0, near = 0.0;
+  double turns[3], local[3], level, beyond = 0.0, near = 0.0;
   lts_place_turns(&p->s.place, pose, turns);
   lts_place_local(&p->s.place, at, local);
   for (int i = 0; i < 4; ++i) { /* both ends, x and z */
@@ -103,8 +103,8 @@ static void find_conditions(const lts_soil *soil, const lts_passage *p, const lt
   found[5] = near / soil->scale;
   found[6] = fmax(t->cell[0], t->cell[1]) / soil->scale;
   found[7] = crossfall_of(soil, p);
-  found[8] = lts_soil_line(soil, p, &level, &off);
-  const double grade = p->s.place.grade, whole = (grade + found[8]) / (1.0 - grade * found[8]);
+  found[8] = lts_soil_line(soil, p, &level);
+  const double whole = lts_soil_whole_grade(&p->s.place, found[8]);
   if (fabs(whole) > soil->model->steep) found[8] = whole;
   const int is_blade = soil->model->kind == LTS_SOIL_BLADE;
   found[9] = p->s.memory[LTS_SOIL_MEMORIES - 1][2];
