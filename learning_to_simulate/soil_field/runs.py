@@ -1,6 +1,7 @@
 """Runs as a soil field learns from them."""
 
 import contextlib
+import dataclasses
 import os
 from typing import NamedTuple
 
@@ -9,6 +10,10 @@ import numpy as np
 from learning_to_simulate.soil_field.terrain import Terrain
 from learning_to_simulate.soil_field.tools import STANDARD_GRAVITY, Blade, Soil, Tool, Wheel
 from pca_tools import dataset, heights, particles
+
+
+# The solver's cells make a round edge half a cell blunter (`mpm.verification.ladder`), m.
+BLUNTER = 0.0033
 
 
 class Machine(NamedTuple):
@@ -69,6 +74,21 @@ class Run(NamedTuple):
         return Terrain(
             self.heights[frame // self.stride], self.cell, self.corner, self.soil,
             floor=min(self.floor, float(self.heights.min())), walled=True,
+        )  # fmt: skip
+
+    def resized(self, size: float) -> 'Run':
+        """The run of a blade and bed so many times as large, without particles and machine: what
+        dry soil does there by similarity (`mpm/README.md`), times as the root of lengths. Cells
+        grow with the rest, so the edge of the copy stands for one of (r + BLUNTER) size - BLUNTER.
+        """
+        tool, pose = self.tool, self.pose * np.array([size] * 3 + [1.0] * 4)
+        edge = size * (tool.radius + BLUNTER) - BLUNTER
+        larger = {'width': size * tool.width, 'radius': edge, 'length': size * tool.length}
+        return self._replace(
+            tool=dataclasses.replace(tool, **larger), pose=pose, heights=size * self.heights,
+            force=size**3 * self.force, torque=size**4 * self.torque, corner=size * self.corner,
+            cell=size * self.cell, dt=size**0.5 * self.dt, floor=size * self.floor,
+            particles=None, machine=None,
         )  # fmt: skip
 
     def before(self) -> Terrain:

@@ -132,6 +132,14 @@ def episode_of(run: Run, start: int = 0, whole: Episode | None = None) -> Episod
     return Episode(frames, passage, risen, loads, np.array(ways) >= settled)
 
 
+def episodes_of(run: Run):
+    """Yields the first frame and the `Episode` of the whole run, then of those from its middle."""
+    whole = episode_of(run)
+    known = whole if np.isfinite(run.tool.renewed_after) else None
+    for start in starts_of(run):
+        yield start, episode_of(run, start, known) if start else whole
+
+
 def _stacked(frames, n_strips):
     """`Frame`s one behind the other, those of one strip as that many equal ones: a passage takes
     all strips from where even terrain ends."""

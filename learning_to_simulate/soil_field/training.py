@@ -15,7 +15,7 @@ from learning_to_simulate.soil_field import network, samples
 from learning_to_simulate.soil_field.field import CONDITIONS, SoilField
 from learning_to_simulate.soil_field.runs import Run
 from learning_to_simulate.soil_field.settings import SCHEDULES, SoilFieldConfig
-from learning_to_simulate.soil_field.tools import TOOLS
+from learning_to_simulate.soil_field.tools import TOOLS, Blade
 
 CLIP_NORM = 1.0
 ROWS = 2048  # that a loss is computed of at a time
@@ -26,11 +26,14 @@ ROBUST = 0.3
 # Standard deviations of what is added to the inputs of the load, which are of order one: to all of
 # them; and to some that say the tool, the same for all its strips. Else the networks learn by heart
 # the runs of a blade, and the few tools that there are. Those of a wheel err more with the first.
-NOISE = {'blade': 0.05, 'wheel': 0.0}
+NOISE = {'blade': 0.02, 'wheel': 0.0}
 NOISE_OF_TOOL = {
-    'blade': {'half_width': 0.1, 'radius': 0.2, 'length': 0.2, 'bucket': 0.2, 'plates': 0.2},
+    'blade': {'half_width': 0.1, 'radius': 0.05, 'length': 0.2, 'bucket': 0.2, 'plates': 0.2},
     'wheel': {'lugs': 0.3, 'lug_height': 0.3},
 }
+# The load of a blade is also learned of copies of the runs at other sizes (`Run.resized`), where
+# the scale of the tool stays: few runs have another edge than most. A wheel's scale never does.
+SIZES = (0.77, 1.3)
 _STREAMS = {'load': 1, 'surface': 2, 'soil': 3}
 
 
@@ -82,24 +85,30 @@ def parts_of(field: SoilField, runs: list[Run], progress=iter) -> dict[str, list
         rng = np.random.Generator(
             np.random.Philox(key=field.config.seed, counter=[0, 0, 9, number])
         )
-        whole = samples.episode_of(run)
-        values.append(field.judged(whole.frames))
-        motion = samples.motion_of(whole)
-        known = whole if np.isfinite(run.tool.renewed_after) else None
-        for start in samples.starts_of(run):
-            episode = samples.episode_of(run, start, known) if start else whole
-            if start and known:  # a renewed passage is one that begins there
-                values.append(field.judged(episode.frames))
+        motion = None
+        for start, episode in samples.episodes_of(run):
+            motion = samples.motion_of(episode) if motion is None else motion
+            if not start or np.isfinite(run.tool.renewed_after):
+                values.append(field.judged(episode.frames))  # a renewed passage begins like that
             add('load', samples.load_part(networks, run, episode))
             add('surface', samples.surface_part(networks, episode, motion, rng))
         if run.particles is not None:
             add('soil', samples.soil_part(networks, run, rng))
+        for copy in copies_of(run):
+            for _, episode in samples.episodes_of(copy):
+                add('load', samples.load_part(networks, copy, episode))
     seen = np.concatenate(values)
     lows, highs = seen.min(axis=0).tolist(), seen.max(axis=0).tolist()
     for name, low, high in zip(field.judged_names, lows, highs, strict=True):
         if name not in CONDITIONS:
             field.ranges[name] = [low, high]
     return {name: [_joined(some) for some in pool.values()] for name, pool in pools.items()}
+
+
+def copies_of(run: Run) -> list[Run]:
+    if not isinstance(run.tool, Blade):
+        return []
+    return [copy for copy in map(run.resized, SIZES) if copy.tool.scale == run.tool.scale]
 
 
 def _joined(parts):

@@ -37,6 +37,40 @@ def test_ranges_are_those_of_the_runs():
     assert field.ranges['friction'][0] == pytest.approx(np.tan(np.radians(37.2348)), abs=1e-6)
 
 
+def test_a_run_at_another_size_is_the_same_run_in_other_units():
+    """Where the scale of the tool grows with it, all that the field sees and feels is as it was,
+    but for the edge, which cells of the solver make blunter."""
+    wide = worlds.run(3)
+    wide = wide._replace(tool=dataclasses.replace(wide.tool, width=0.9))  # 1.5 times as taught
+    copy = wide.resized(1.4)
+    assert copy.tool.scale == pytest.approx(1.4 * wide.tool.scale) and copy.machine is None
+    edge = (1.4 * (wide.tool.radius + 0.0033) - 0.0033) / copy.tool.scale
+    copy = copy._replace(tool=dataclasses.replace(copy.tool, radius=1.4 * wide.tool.radius))
+    networks = worlds.trained()[0].networks
+    parts = [samples.load_part(networks, r, samples.episode_of(r)) for r in (wide, copy)]
+    for one, other in zip(*((*p.inputs, p.target, p.weight) for p in parts), strict=True):
+        assert np.allclose(one, other, rtol=1e-4, atol=1e-4 * np.abs(one).max())
+    assert np.abs(parts[0].target).max() > 10
+    seen = wide.resized(1.4).tool.values(wide.soil)
+    assert seen[wide.tool.scalars.index('radius')] == pytest.approx(edge)
+    assert training.copies_of(wide) == []  # they would teach nothing
+
+
+def test_the_load_of_a_blade_learns_from_runs_at_other_sizes():
+    run, networks = worlds.run(3), worlds.trained()[0].networks
+    copies = training.copies_of(run)
+    assert [c.tool.width for c in copies] == pytest.approx([0.3 * 0.77, 0.3 * 1.3])
+    field = training.make_field(worlds.CONFIG, 'blade', worlds.SMALL)
+    pools = training.parts_of(field, [run])
+    radius = [row.operand for row in networks.tables.load.rows].index('radius')
+    edges = {
+        round(1e3 * (0.01 * float(x) + 0.014), 2) for x in pools['load'][0].inputs[0][:, 0, radius]
+    }
+    assert edges == {14.0, 10.02, 19.19}
+    narrow = run._replace(tool=dataclasses.replace(run.tool, width=0.16))
+    assert [c.tool.width for c in training.copies_of(narrow)] == pytest.approx([0.208])
+
+
 def test_two_trainings_are_equal_and_bad_ones_refused():
     field = training.make_field(worlds.CONFIG, 'blade', worlds.SMALL)
     pools = training.parts_of(field, [worlds.run(1)])
@@ -101,9 +135,9 @@ def test_inputs_that_say_the_tool_get_noise_of_their_own():
     own, sides = np.zeros((4000, 2, len(operands)), np.float32), np.zeros((4000, 2, 2, 13))
     own, sides = training._noise(networks)(np.random.default_rng(0), own, sides.astype(np.float32))
     edge, soil = (own[..., operands.index(name)] for name in ('radius', 'friction'))
-    assert edge.std() == pytest.approx(np.hypot(0.2, 0.05), rel=0.05)
-    assert (edge[:, 0] - edge[:, 1]).std() == pytest.approx(0.05 * 2**0.5, rel=0.05)
-    assert soil.std() == pytest.approx(0.05, rel=0.05) == sides.std()
+    assert edge.std() == pytest.approx(np.hypot(0.05, 0.02), rel=0.05)
+    assert (edge[:, 0] - edge[:, 1]).std() == pytest.approx(0.02 * 2**0.5, rel=0.05)
+    assert soil.std() == pytest.approx(0.02, rel=0.05) == sides.std()
 
 
 def test_the_loss_of_the_mean_of_the_members():
