@@ -11,7 +11,6 @@ from learning_to_simulate.soil_field.terrain import Terrain
 from learning_to_simulate.soil_field.tools import STANDARD_GRAVITY, Blade, Soil, Tool, Wheel
 from pca_tools import dataset, heights, particles
 
-
 # The solver's cells make a round edge half a cell blunter (`mpm.verification.ladder`), m.
 BLUNTER = 0.0033
 
