@@ -26,8 +26,8 @@ _BITS = {
         'lug_height', 'stress',
     ),
     'LTS_OUTSIDE_START': (
-        'bed_low', 'bed_high', 'uneven', 'wall', 'beyond_map', 'thin_soil', 'other_tool', 'cell',
-        'crossfall', 'slope',
+        'bed_low', 'bed_high', 'uneven', 'wall', 'wall_behind', 'beyond_map', 'thin_soil',
+        'other_tool', 'cell', 'crossfall', 'slope',
     ),
     'LTS_OUTSIDE_SPEED': ('speed', 'along', 'turning'),
 }  # fmt: skip

@@ -40,9 +40,11 @@ CONDITIONS = {
 }
 APART = 0.1
 # Numbers of a frame that are judged: scalars, and what follows from bins about the tool, from how
-# near a wall is, and from how far the tool has gone back in the soil.
+# near walls are, and from how far the tool has gone back in the soil.
 _SCALARS = ('lean', 'area', 'carried', 'speed')
-_OF_BINS = ('depth', 'bed_low', 'bed_high', 'uneven', 'wall', 'along', 'backed')
+_OF_BINS = (
+    'depth', 'bed_low', 'bed_high', 'uneven', 'wall', 'along', 'backed', 'wall_behind',
+)  # fmt: skip
 # Of the ground: it is as in training where it differs by less than so much, m of the field.
 _OF_GROUND, SMOOTH = ('bed_low', 'bed_high', 'uneven'), 0.0005
 # Bins so far from the tool tell of the ground under it and about it, m of the field.
@@ -102,7 +104,9 @@ class SoilField:
         tip, height, radius = (
             frames.scalars[:, 0, columns[n]] for n in ('tip', 'height', 'radius')
         )
-        along, speed = (frames.scalars[:, 0, columns[n]] for n in ('along_0', 'speed'))
+        along, speed, ahead, behind = (
+            frames.scalars[:, 0, columns[n]] for n in ('along_0', 'speed', 'ahead', 'behind')
+        )
         surface = frames.bins[..., sweep.SURFACE]
         places = sweep.GRID.offsets - tip[:, None]
         here = np.abs(places)[:, None] < HERE
@@ -114,10 +118,11 @@ class SoilField:
             np.where(near, surface, np.inf).min(axis=(1, 2)) - level,
             np.where(near, surface, -np.inf).max(axis=(1, 2)) - level,
             np.where(near, np.abs(surface - under), 0.0).max(axis=(1, 2)),
-            AHEAD - frames.scalars[:, 0, columns['ahead']].astype(np.float64),
+            AHEAD - ahead.astype(np.float64),
             # A tool that falls is faster than any that goes on.
             np.abs(along.astype(np.float64)) * speed,
             np.maximum(frames.scalars[..., columns['foremost']].max(axis=1) - tip, 0.0),
+            AHEAD - behind.astype(np.float64),
         ]
         names = self.judged_names[: named(self.networks.tool)]
         own = [frames.scalars[..., columns[n]].max(axis=1) for n in names]

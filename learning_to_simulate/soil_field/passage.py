@@ -12,7 +12,7 @@ from learning_to_simulate.soil_field.terrain import Terrain
 from learning_to_simulate.soil_field.tools import STANDARD_GRAVITY, Tool
 from learning_to_simulate.swept import check_time
 
-# m of the field: walls farther ahead do not matter, nor floors farther below.
+# m of the field: walls farther away do not matter, nor floors farther below.
 AHEAD, BELOW = 0.7, 0.2
 EVEN = 1e-3  # m of the field by which strips may differ and count as one
 # m of the field along the way in one frame: farther, cells would go by that no frame saw.
@@ -407,12 +407,16 @@ class Passage:
         """What the networks see now, [1, J, ...]."""
         s, level = self.state, np.full(len(self.strips.centres), self.level)
         ground, c = self.place.height / self.scale, self.place.cosine
-        ahead = self.terrain.ahead(self.place, self.scale * c * s.tip[0]) / self.scale
+        here, n = self.scale * c * s.tip[0], len(level)
+        ahead, behind = (
+            np.full(n, min(self.terrain.wall(self.place, here, way) / self.scale, AHEAD))
+            for way in (1, -1)
+        )
         height = ground + c * (s.pose[:, 1] - ground + self.place.grade * s.pose[:, 0])
         below = height - self._radius - self.terrain.floor / self.scale
         of_passage = np.stack(
-            [self.carried, np.clip(below, 0.0, BELOW), np.full(len(level), min(ahead, AHEAD)),
-             sweep.layer(s, self.tool.strikes)], axis=1,
+            [self.carried, np.clip(below, 0.0, BELOW), ahead, sweep.layer(s, self.tool.strikes),
+             behind], axis=1,
         )  # fmt: skip
         scalars = np.concatenate(
             [

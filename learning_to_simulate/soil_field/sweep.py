@@ -42,8 +42,9 @@ SCALARS = (
 )  # fmt: skip
 
 # Soil that the tool has moved and not left behind, m2 (`passage`); how far below the tool the floor
-# is, and a wall ahead, m; soil of the layers that the tool can have left, m2: (24).
-OF_PASSAGE = ('carried', 'below', 'ahead', 'layer')
+# is, and a wall ahead, m; soil of the layers that the tool can have left, m2: (24); how far behind
+# it a wall is, m.
+OF_PASSAGE = ('carried', 'below', 'ahead', 'layer', 'behind')
 
 Read = Callable[[np.ndarray], np.ndarray]
 

@@ -202,16 +202,17 @@ class Terrain:
         )
         return x, z
 
-    def ahead(self, place, u: float) -> float:
-        """Distance (m) along a place from u to the wall; infinite where there is none."""
+    def wall(self, place, u: float, way: int) -> float:
+        """Distance (m) along a place from u to the wall ahead (way 1) or behind (-1); infinite
+        where there is none."""
         if not self.walled:
             return np.inf
-        here = place.origin + u * place.along
+        here, along = place.origin + u * place.along, way * place.along
         ends = [self.corner, self.corner + self.cell * self.shape]
         ways = [
-            (ends[int(place.along[axis] > 0)][i] - here[axis]) / place.along[axis]
+            (ends[int(along[axis] > 0)][i] - here[axis]) / along[axis]
             for i, axis in enumerate((0, 2))
-            if abs(place.along[axis]) > 1e-12
+            if abs(along[axis]) > 1e-12
         ]
         return float(min(ways))
 

@@ -188,12 +188,14 @@ def test_a_frame_holds_place_speed_and_wall_in_units_of_the_field():
     assert seen['below'] == pytest.approx(0.1)
     assert seen['height'] == pytest.approx(0.2) and seen['ahead'] == pytest.approx(AHEAD)
     # On the way of 0.03 the rim turned by 0.1 * 0.1: it slides by 0.02.
+    assert seen['behind'] == pytest.approx(0.53)
     assert seen['way'] == pytest.approx(0.05)
     assert seen['speed'] == pytest.approx(0.05 / DT * np.sqrt(2.0), rel=1e-6)
     for u in (0.9, 1.7, 2.5):
         passage.step(poses([[u, 0.4, 0.0]])[0], DT)
-    ahead = network.names_of(tool).index('ahead')
+    ahead, behind = (network.names_of(tool).index(name) for name in ('ahead', 'behind'))
     assert passage.frame.scalars[0, 0, ahead] == pytest.approx(0.25)
+    assert passage.frame.scalars[0, 0, behind] == pytest.approx(AHEAD)  # farther away
     assert passage.frame.scalars[0, 0, sweep.SCALARS.index('tip')] == pytest.approx(0.25)
 
 

@@ -165,15 +165,15 @@ def test_what_is_not_steep_or_is_kept_does_not_slide():
 
 @pytest.mark.parametrize('yaw', [0.0, 0.5, np.pi / 2, 2.2, -2.0, -0.3])
 @pytest.mark.parametrize('u', [-0.2, 0.0, 0.15])
-def test_the_wall_ahead_is_where_a_walk_leaves_the_map(yaw, u):
+def test_a_wall_is_where_a_walk_leaves_the_map(yaw, u):
     terrain = Terrain.flat((1.0, 0.6), corner=(-0.4, -0.2), walled=True)
     place = place_of(scenes.poses([[0.0, 0.0, 0.0]], yaw, (0.05, 0.3, 0.06))[0])
-    way = np.arange(0, 2, 1e-4)
-    x, _, z = (place.origin + (u + way)[:, None] * place.along).T
-    inside = (x >= -0.4) & (x <= 0.6) & (z >= -0.2) & (z <= 0.4)
-    assert terrain.ahead(place, u) == pytest.approx(way[inside].max(), abs=2e-4)
-    terrain = Terrain.flat((1.0, 0.6), corner=(-0.4, -0.2))
-    assert terrain.ahead(place, u) == np.inf
+    for way in (1, -1):
+        steps = np.arange(0, 2, 1e-4)
+        x, _, z = (place.origin + (u + way * steps)[:, None] * place.along).T
+        inside = (x >= -0.4) & (x <= 0.6) & (z >= -0.2) & (z <= 0.4)
+        assert terrain.wall(place, u, way) == pytest.approx(steps[inside].max(), abs=2e-4)
+        assert Terrain.flat((1.0, 0.6), corner=(-0.4, -0.2)).wall(place, u, way) == np.inf
 
 
 def test_only_heights_of_a_terrain_change():

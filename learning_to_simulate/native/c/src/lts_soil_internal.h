@@ -112,7 +112,7 @@ void lts_place_turns(const lts_place *place, const lts_pose *pose, double out[3]
 /* lts_soil_terrain.c: the distance to the wall; the mean height of a
  * strip at u; whether a terrain can be one. */
 int lts_terrain_usable(const lts_terrain *terrain);
-double lts_terrain_ahead(const lts_terrain *terrain, const lts_place *place, double u);
+double lts_terrain_wall(const lts_terrain *terrain, const lts_place *place, double u, double way);
 double lts_soil_read(const lts_soil *soil, const lts_terrain *terrain, const lts_place *place, int n_strip,
                      int strip, double u);
 /* The strip below a place across and the share of the next one. */

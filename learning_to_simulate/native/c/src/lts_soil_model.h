@@ -26,13 +26,14 @@ enum {
 #define LTS_SOIL_JUDGED_SPEED 3 /* the number of the speed among what is judged */
 
 /* Scalars of a frame that come from the path; then memories [LTS_SOIL_MEMORIES][LTS_SOIL_MOTIONS], those of the
- * tool, what is carried, how far below it the floor and ahead a wall is, and what it can have left. */
+ * tool, what is carried, how far below it the floor and ahead a wall is, what it can have left, and how far behind
+ * it a wall is. */
 enum {
   LTS_SOIL_TIP = 0, LTS_SOIL_HEIGHT = 1, LTS_SOIL_LEAN = 2, LTS_SOIL_AREA = 3, LTS_SOIL_FOREMOST = 4,
   LTS_SOIL_WAY = 5, LTS_SOIL_SPEED = 6, LTS_SOIL_MEMORY = 7, LTS_SOIL_OWN = 23
 };
 /* Of those behind the tool's. */
-enum { LTS_SOIL_CARRIED = 0, LTS_SOIL_BELOW = 1, LTS_SOIL_AHEAD = 2, LTS_SOIL_LAYER = 3 };
+enum { LTS_SOIL_CARRIED = 0, LTS_SOIL_BELOW = 1, LTS_SOIL_AHEAD = 2, LTS_SOIL_LAYER = 3, LTS_SOIL_BEHIND = 4 };
 #define LTS_SOIL_OF_PASSAGE(model, scalar) (LTS_SOIL_OWN + (model)->n_own + LTS_SOIL_##scalar)
 
 /* Layers of M networks, each from the first to the last. */

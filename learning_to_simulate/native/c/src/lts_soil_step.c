@@ -7,10 +7,10 @@
 
 /* ---- status ---- */
 
-#define N_GROUND 7
+#define N_GROUND 8
 
-/* Depth of the tool, how low, high and uneven the ground about it is, how near a wall, its speed along the way, and
- * how far it has gone back; whether the tool may touch the ground. */
+/* Depth of the tool, how low, high and uneven the ground about it is, how near a wall, its speed along the way,
+ * how far it has gone back, and how near a wall is behind it; whether the tool may touch the ground. */
 static int find_ground(const lts_soil *soil, const lts_passage *p, double area, double found[N_GROUND]) {
   const lts_soil_model *m = soil->model;
   const int n_strip = p->s.n_strip;
@@ -49,6 +49,7 @@ static int find_ground(const lts_soil *soil, const lts_passage *p, double area, 
   float foremost = s[LTS_SOIL_FOREMOST];
   for (int j = 1; j < n_strip; ++j) foremost = fmaxf(foremost, soil->scalars[j][LTS_SOIL_FOREMOST]);
   found[6] = fmax(foremost - s[LTS_SOIL_TIP], 0.0);
+  found[7] = m->ahead - (double)s[LTS_SOIL_OF_PASSAGE(m, BEHIND)];
   return lts_soil_lowest_part(soil) < level + (double)m->above + (double)m->heap * sqrt(fmax(area, 0.0));
 }
 

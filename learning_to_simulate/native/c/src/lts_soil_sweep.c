@@ -241,7 +241,9 @@ static void see_scalars(lts_soil *soil, const lts_passage *p) {
   const lts_soil_model *m = soil->model;
   const lts_way *w = &p->s;
   const double c = w->place.cosine, ground = w->place.height / soil->scale;
-  const double ahead = lts_terrain_ahead(soil->terrain, &w->place, soil->scale * c * w->pose[0]);
+  const double here = soil->scale * c * w->pose[0];
+  const double ahead = lts_terrain_wall(soil->terrain, &w->place, here, 1.0) / soil->scale;
+  const double behind = lts_terrain_wall(soil->terrain, &w->place, here, -1.0) / soil->scale;
   const double height = ground + c * (w->pose[1] - ground + w->place.grade * w->pose[0]);
   const double below = height - soil->radius - soil->terrain->floor / soil->scale;
   const double owed = lts_soil_owed(soil, p);
@@ -267,8 +269,9 @@ static void see_scalars(lts_soil *soil, const lts_passage *p) {
                                                 p->profile + LTS_SOIL_ROW(soil, j), 0, m->n_bin);
     s[LTS_SOIL_OF_PASSAGE(m, CARRIED)] = (float)(w->dropped[j] + cut + owed); /* (19) */
     s[LTS_SOIL_OF_PASSAGE(m, BELOW)] = (float)fmin(fmax(below, 0.0), m->below_tool);
-    s[LTS_SOIL_OF_PASSAGE(m, AHEAD)] = (float)fmin(ahead / soil->scale, m->ahead);
+    s[LTS_SOIL_OF_PASSAGE(m, AHEAD)] = (float)fmin(ahead, m->ahead);
     s[LTS_SOIL_OF_PASSAGE(m, LAYER)] = (float)layer(soil, p, j);
+    s[LTS_SOIL_OF_PASSAGE(m, BEHIND)] = (float)fmin(behind, m->ahead);
   }
 }
 

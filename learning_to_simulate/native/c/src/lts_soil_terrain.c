@@ -36,13 +36,12 @@ double lts_terrain_at(const lts_terrain *t, double x, double z) {
   return near + a * (far - near);
 }
 
-double lts_terrain_ahead(const lts_terrain *t, const lts_place *place, double u) {
+double lts_terrain_wall(const lts_terrain *t, const lts_place *place, double u, double way) {
   double least = HUGE_VAL;
   for (int i = 0; t->walled && i < 2; ++i) {
-    if (!(fabs(place->along[i]) > 1e-12)) continue;
-    const double here = place->origin[i] + u * place->along[i];
-    const double end = t->corner[i] + (place->along[i] > 0.0 ? t->cell[i] * t->n[i] : 0.0);
-    least = fmin(least, (end - here) / place->along[i]);
+    const double along = way * place->along[i], here = place->origin[i] + u * place->along[i];
+    if (!(fabs(along) > 1e-12)) continue;
+    least = fmin(least, (t->corner[i] + (along > 0.0 ? t->cell[i] * t->n[i] : 0.0) - here) / along);
   }
   return least;
 }
