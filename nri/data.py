@@ -19,39 +19,22 @@ NODE_KINDS = ('modes', 'modes_and_rigid')
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class NriData:
-    """One split.
+    """One split."""
 
-    Attributes:
-      features: float32 [S, V, T, F], in the units of the files: positions, then velocities.
-      edges: int32 [S, V (V - 1)] true edge types in Kipf's order, or None.
-      node_names: V names.
-      same_scale: whether all nodes share one scale; not so for modes.
-      digest: sha256 over the files that were read.
-      source: folder and split, for messages.
-    """
-
-    features: np.ndarray
-    edges: np.ndarray | None
-    node_names: tuple[str, ...]
-    same_scale: bool
-    digest: str
-    source: str
+    features: np.ndarray  # float32 [S, V, T, F], units of the files: positions, then velocities
+    edges: np.ndarray | None  # int32 [S, V (V - 1)] true edge types in Kipf's order
+    node_names: tuple[str, ...]  # V
+    same_scale: bool  # whether all nodes share one scale; not so for modes
+    digest: str  # sha256 over the files that were read
+    source: str  # folder and split, for messages
 
 
 def load(path: str, split: str, nodes: str = 'modes', modes: int = 0) -> NriData:
-    """Reads a split of either kind of folder.
+    """Reads a split of either kind of folder; of a dataset of this project the `nodes` (of
+    `NODE_KINDS`), and of its modes the first `modes` (0: all).
 
-    Args:
-      path: folder.
-      split: train, valid or test.
-      nodes: 'modes' or 'modes_and_rigid', for datasets of this project only.
-      modes: how many of the modes of such a dataset, the first ones; 0: all.
-
-    Raises:
-      FileNotFoundError: no such folder or split.
-      ValueError: a damaged or foreign file, arrays that do not fit each other, values that are not
-        finite; the message names the file.
-    """
+    FileNotFoundError: no such folder or split. ValueError, with the file: it is damaged or foreign,
+    arrays do not fit each other, or values are not finite."""
     if split not in dataset.SPLITS:
         raise ValueError(f'split {split!r} is not one of {dataset.SPLITS}')
     if nodes not in NODE_KINDS:
@@ -72,7 +55,7 @@ def load(path: str, split: str, nodes: str = 'modes', modes: int = 0) -> NriData
 
 
 def _digest(paths) -> str:
-    return hashlib.sha256(''.join(files.sha256_of_file(p) for p in paths).encode()).hexdigest()
+    return hashlib.sha256(''.join(map(files.sha256_of_file, paths)).encode()).hexdigest()
 
 
 def _load_subspace(path, split, nodes, modes):
@@ -178,16 +161,8 @@ def _load_kipf(path, split):
 
 
 def edge_types(relations: np.ndarray, source: str = 'relations') -> np.ndarray:
-    """Edge types of all pairs, from [S, V, V] matrices with Kipf's values.
-
-    Springs hold 0 and 1, charges -1 and 1: the lower value is type 0.
-
-    Returns:
-      int32 [S, V (V - 1)].
-
-    Raises:
-      ValueError: other values.
-    """
+    """Edge types of all pairs, int32 [S, V (V - 1)], from [S, V, V] matrices with Kipf's values: 0
+    and 1 of springs, -1 and 1 of charges, the lower one is type 0. ValueError: other values."""
     off = ~np.eye(relations.shape[1], dtype=bool)
     values = relations[:, off]
     if not (np.isin(values, (0, 1)).all() or np.isin(values, (-1, 1)).all()):
@@ -199,14 +174,11 @@ def edge_types(relations: np.ndarray, source: str = 'relations') -> np.ndarray:
 
 
 def normalization(data: NriData) -> tuple[np.ndarray, np.ndarray]:
-    """Offset and scale that take the features of a split to [-1, 1] (Kipf et al. 2018).
+    """Offset and scale, float32 [1 or V, F], with which (features - offset) / scale of a split fill
+    [-1, 1] (Kipf et al. 2018).
 
     One scale for positions and one for velocities (all axes share it: a still axis is not blown
-    up), over all nodes, or for each node where their scales differ.
-
-    Returns:
-      offset, scale: float32 [1 or V, F]; normalised = (features - offset) / scale.
-    """
+    up), over all nodes, or for each node where their scales differ."""
     n_run, n_node, n_frame, n_feature = data.features.shape
     halves = data.features.astype(np.float64).reshape(n_run, n_node, n_frame, 2, n_feature // 2)
     axes = (0, 1, 2, 4) if data.same_scale else (0, 2)

@@ -34,15 +34,9 @@ MASK_FILE, PICTURE_FILE = 'edges.npy', 'edges.png'
 
 
 def edge_posterior(model, features) -> np.ndarray:
-    """P(edge) of every ordered pair of nodes in every run: that of all types but the first.
-
-    Args:
-      model: `NriModel`.
-      features: float32 [S, V, T, F] as `data.load` gives them.
-
-    Returns:
-      float64 [S, V, V], entry [receiver, sender]; NaN on the diagonal.
-    """
+    """P(edge) of every ordered pair of nodes in every run: that of all types but the first, float64
+    [S, V, V], entry [receiver, sender], NaN on the diagonal. `features` are float32 [S, V, T, F] as
+    `data.load` gives them."""
     types = model.edge_probabilities(features)
     n_node = features.shape[1]
     matrix = np.full((len(types), n_node, n_node), np.nan)
@@ -51,17 +45,11 @@ def edge_posterior(model, features) -> np.ndarray:
 
 
 def spread(posterior, threshold: float) -> dict:
-    """How sure the model is, and how far the runs agree.
+    """How sure the model is, and how far the runs agree, by a posterior of `edge_posterior`.
 
-    Args:
-      posterior: [S, V, V] of `edge_posterior`.
-      threshold: an edge is above it.
-
-    Returns:
-      dict: `runs`; `std_over_runs`, of P(edge), mean over pairs; `entropy_bits` of P(edge), mean
-      over pairs and runs (0 sure, 1 nothing known); `run_agreement`, the share of (run, pair) on
-      the same side of the threshold as the mean over runs.
-    """
+    `std_over_runs` of P(edge), mean over pairs; `entropy_bits` of P(edge), mean over pairs and runs
+    (0 sure, 1 nothing known); `run_agreement`, the share of (run, pair) on the same side of the
+    threshold as the mean over runs."""
     p = posterior[:, ~np.eye(posterior.shape[1], dtype=bool)]
     q = np.clip(p, 1e-12, 1.0 - 1e-12)
     entropy = -(q * np.log2(q) + (1 - q) * np.log2(1 - q))
@@ -81,19 +69,11 @@ def find_edges(
     keep: int | None = None,
     allow_degenerate: bool = False,
 ) -> edge_lists.EdgeList:
-    """The edge list of an NRI model, by its posterior on the training runs.
+    """The edge list of an NRI model, by its posterior on the training runs; arguments as the flags
+    of the same names.
 
-    Args:
-      model_path: folder of the model.
-      data_path: the data it was trained on.
-      threshold: edges have a probability above it.
-      keep: instead, the number of most probable edges to keep.
-      allow_degenerate: whether an empty or saturated graph is a result.
-
-    Raises:
-      FileNotFoundError, ValueError: no model or data there, data of another dataset, edge types
-        without a meaning, an empty or saturated graph.
-    """
+    FileNotFoundError, ValueError: no model or data there, data of another dataset, edge types
+    without a meaning, an empty or saturated graph."""
     from nri.model import load_model  # loads TensorFlow; help does not wait for it
 
     model = load_model(model_path)
@@ -130,11 +110,8 @@ def find_edges(
 
 
 def completed(edges: edge_lists.EdgeList, data_path: str):
-    """Algorithm 2 around the mode block, on the first run of a dataset of this project.
-
-    Returns:
-      the `Adjacency` and its node names, or None where the data are no such dataset.
-    """
+    """Algorithm 2 around the mode block, on the first run of a dataset of this project: the
+    `Adjacency` and its node names, or None where the data are no such dataset."""
     if not os.path.exists(os.path.join(data_path, dataset.METADATA_NAME)):
         return None
     metadata = dataset.read_metadata(data_path)
@@ -161,17 +138,8 @@ def export(edges: edge_lists.EdgeList, data_path: str, output_path: str) -> list
 
 
 def draw(path: str, edges, whole=None) -> None:
-    """Draws probabilities, kept edges and, where given, the graph that Algorithm 2 makes of them,
-    senders x receivers, as in figures 3.5 to 3.7 of Usmani 2023.
-
-    Args:
-      path: PNG file.
-      edges: `EdgeList`.
-      whole: (`Adjacency`, node names) of the whole graph, or None.
-
-    Raises:
-      ValueError: matplotlib is missing.
-    """
+    """Draws probabilities, kept edges and, where given, the graph that Algorithm 2 makes of them
+    (of `completed`), senders x receivers, as in figures 3.5 to 3.7 of Usmani 2023."""
     panels = [
         ('probability', edges.probabilities, edges.node_names),
         (f'{edges.n_edge} edges ({edges.method})', edges.mask.astype(float), edges.node_names),
@@ -188,11 +156,8 @@ def draw(path: str, edges, whole=None) -> None:
 
 def show_matrices(panels):
     """A figure of (title, matrix [receiver, sender], node names) side by side; rows are senders,
-    columns receivers. Returns it and its images.
-
-    Raises:
-      ValueError: matplotlib is missing; it is an optional part of the installation.
-    """
+    columns receivers. Returns it and its images. ValueError: matplotlib, which is optional, is
+    missing."""
     try:
         from matplotlib.figure import Figure
     except ImportError as error:

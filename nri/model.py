@@ -24,27 +24,16 @@ BATCH = 500  # windows at a time
 
 
 class NriModel(snt.Module):
-    """Encoder, decoder and the normalisation of their features.
-
-    Args:
-      config: the settings.
-      node_names: V names.
-      offset, scale: float32 [1 or V, F], see `data.normalization`.
-      data_digest: of the data it is trained on.
-
-    Attributes:
-      digest: sha256 of the weights file it was loaded from or saved to; None before.
-
-    Raises:
-      ValueError: too few or too many nodes, or a normalisation that is not one of them.
-    """
+    """Encoder, decoder and the normalisation of their features, `offset` and `scale`, float32
+    [1 or V, F] of `data.normalization`. ValueError: too few or too many nodes, or a normalisation
+    that is not one of them."""
 
     def __init__(self, config: NriConfig, node_names, offset, scale, data_digest, name='nri'):
         super().__init__(name=name)
         self.config = config
         self.node_names = tuple(node_names)
         self.data_digest = data_digest
-        self.digest: str | None = None
+        self.digest: str | None = None  # sha256 of the weights file, once saved or loaded
         self.offset = np.asarray(offset, np.float32)
         self.scale = np.asarray(scale, np.float32)
         self._check()
@@ -101,10 +90,10 @@ class NriModel(snt.Module):
         return networks.both_ways(of_pair, n_node) if self.config.symmetric else of_pair
 
     def losses(self, features, seed, true_edges=None, is_training=False) -> dict[str, tf.Tensor]:
-        """Negative evidence bound of a batch, the same in training and validation.
+        """Negative evidence bound of a batch [B, V, window, F], the same in training and
+        validation.
 
         Args:
-          features: [B, V, window, F].
           seed: int32 [2], of the edge sample and of the segment that is predicted.
           true_edges: int32 [B, V (V - 1)]; used by supervised training alone.
           is_training: whether layers are normalised with the statistics of this batch.
@@ -140,20 +129,11 @@ class NriModel(snt.Module):
         return {'loss': nll + kl, 'nll': nll, 'kl': kl}
 
     def edge_probabilities(self, features) -> np.ndarray:
-        """Posterior of the edge types.
+        """Posterior of the edge types, float32 [S, V (V - 1), K], pairs in Kipf's order, of
+        features [S, V, T, F] as `data.load` gives them.
 
         Runs longer than the window are cut into windows side by side, the last one ending with
-        the run, and their probabilities averaged.
-
-        Args:
-          features: float32 [S, V, T, F] as `data.load` gives them.
-
-        Returns:
-          float32 [S, V (V - 1), K], pairs in Kipf's order.
-
-        Raises:
-          ValueError: features of other nodes, or too few frames.
-        """
+        the run, and their probabilities averaged. ValueError: other nodes, or too few frames."""
         self.check_features(features)
         span, n_frame = self.config.span, features.shape[2]
         count = -(-n_frame // span)
@@ -175,11 +155,8 @@ class NriModel(snt.Module):
         return np.concatenate(parts)
 
     def check_features(self, features):
-        """Refuses features that are not those of this model's nodes.
-
-        Raises:
-          ValueError: with both shapes.
-        """
+        """Raises ValueError, with both shapes, for features that are not those of this model's
+        nodes."""
         expected = len(self.node_names), self.offset.shape[1]
         if features.ndim != 4 or (features.shape[1], features.shape[3]) != expected:
             raise ValueError(
@@ -225,11 +202,8 @@ class NriModel(snt.Module):
 
 def load_model(path: str) -> NriModel:
     """Loads a saved model, of which nothing is built that its weights do not hold.
-
-    Raises:
-      FileNotFoundError: no model there.
-      ValueError: a damaged or foreign config, or weights that do not belong to it.
-    """
+    FileNotFoundError: no model there. ValueError: a damaged or foreign config, or weights that do
+    not belong to it."""
     name = os.path.join(path, CONFIG_FILE)
     if not os.path.isfile(name):
         raise FileNotFoundError(f'{name}: no such file; train a model with nri.train')

@@ -111,13 +111,8 @@ class _FactorGraph(snt.Module):
 
 
 class Encoder(snt.Module):
-    """Trajectories -> logits of the edge types of every pair: an MLP on the whole trajectory of
-    each node, then messages between nodes.
-
-    Args:
-      width: hidden units.
-      n_types: K.
-    """
+    """Trajectories -> logits of the K edge types of every pair: an MLP on the whole trajectory of
+    each node, then messages between nodes."""
 
     def __init__(self, width, n_types, name='encoder'):
         super().__init__(name=name)
@@ -138,14 +133,8 @@ class Encoder(snt.Module):
 class Decoder(snt.Module):
     """One frame and the edge types -> the next frame: the last one plus an MLP of it and of the
     messages received,
-    m_i = sum_j sum_k z_ijk h_k(x_i, x_j), x_i <- x_i + u(x_i, m_i), one network h_k for each type.
-
-    Args:
-      n_features: F.
-      width: hidden units.
-      n_types: K.
-      skip_first: whether type 0 stands for no edge, so that nothing is exchanged.
-    """
+    m_i = sum_j sum_k z_ijk h_k(x_i, x_j), x_i <- x_i + u(x_i, m_i), one network h_k for each of K
+    types; with `skip_first` type 0 stands for no edge, so that nothing is exchanged."""
 
     def __init__(self, n_features, width, n_types, skip_first, name='decoder'):
         super().__init__(name=name)

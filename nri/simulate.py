@@ -25,32 +25,22 @@ from absl import flags
 from learning_to_simulate import command
 from nri.data import write_array
 from pca_tools import files
+from pca_tools.metadata import SPLITS
 
 LEAPFROG_LIMIT = 2.0  # of omega dt
-SPLITS = ('train', 'valid', 'test')
 # Runs that advance together: their pair arrays stay in the processor's cache.
 CHUNK = 500
 
 
 @dataclasses.dataclass(frozen=True)
 class _System(abc.ABC):
-    """Objects of unit mass in a box.
+    """Objects of unit mass in a box. ValueError: a value that is not positive, or omega dt >= 2."""
 
-    Attributes:
-      n_objects: V.
-      dt: time step.
-      interaction_strength: k.
-      box_size: half the side of the box; walls at +-box_size.
-      position_std, speed: of the initial state.
-
-    Raises:
-      ValueError: a value that is not positive, or omega dt >= 2.
-    """
-
-    n_objects: int = 5
-    dt: float = 0.001
-    interaction_strength: float = 0.1
-    box_size: float = 5.0
+    n_objects: int = 5  # V
+    dt: float = 0.001  # time step
+    interaction_strength: float = 0.1  # k
+    box_size: float = 5.0  # half the side of the box; walls at +-box_size
+    # position_std, speed: of the initial state
     position_std: float = 0.5
     speed: float = 0.5
 
@@ -125,11 +115,8 @@ SYSTEMS = {'springs': Springs, 'charged': Charged}
 
 
 def reflect(position, velocity, box_size):
-    """Elastic walls: what is beyond +-box_size comes back; in place.
-
-    Raises:
-      ValueError: if an object went beyond a wall by more than the box is wide.
-    """
+    """Elastic walls: what is beyond +-box_size comes back; in place. ValueError: an object went
+    beyond a wall by more than the box is wide."""
     beyond = np.abs(position) > box_size
     if not beyond.any():
         return
@@ -144,18 +131,9 @@ def reflect(position, velocity, box_size):
 
 
 def leapfrog(system, position, velocity, relations, n_steps, sample_every):
-    """Integrates Newton's equations; positions and velocities belong to the same instant.
-
-    Args:
-      system: `Springs` or `Charged`.
-      position, velocity: [S, V, D] at time 0.
-      relations: [S, V, V].
-      n_steps: steps of dt.
-      sample_every: steps between frames; the first frame is at sample_every dt.
-
-    Returns:
-      positions, velocities: [S, n_steps // sample_every, V, D].
-    """
+    """Integrates Newton's equations over `n_steps` steps of dt from positions and velocities
+    [S, V, D] and relations [S, V, V]. Returns positions and velocities of the same instants,
+    [S, n_steps // sample_every, V, D]; the first frame is at sample_every dt."""
     position, velocity = position.copy(), velocity.copy()
     acceleration = system.acceleration(position, relations)
     positions, velocities = [], []
@@ -172,11 +150,8 @@ def leapfrog(system, position, velocity, relations, n_steps, sample_every):
 
 
 def simulate_particles(system, n_run, n_steps, sample_every, rng):
-    """Draws initial states and relations of `Springs` or `Charged` and simulates them.
-
-    Returns:
-      positions, velocities: [S, T, V, 2]; relations: [S, V, V].
-    """
+    """Draws initial states and relations of a system and simulates them; returns positions and
+    velocities [S, T, V, 2] and relations [S, V, V]."""
     relations = system.relations(rng, n_run)
     shape = (n_run, system.n_objects, 2)
     position = rng.normal(0.0, system.position_std, shape).clip(-system.box_size, system.box_size)
@@ -185,20 +160,13 @@ def simulate_particles(system, n_run, n_steps, sample_every, rng):
     return (*leapfrog(system, position, velocity, relations, n_steps, sample_every), relations)
 
 
-def simulate_split(system, n_run, n_steps, sample_every, seed, split, progress=None):
-    """The arrays of one split, by the prefix of their file names: 'loc', 'vel', 'edges', float32,
-    shapes in the module docstring.
-
-    Args:
-      system: one of `SYSTEMS`.
-      n_run: S.
-      n_steps: simulated steps; the last frame is left out, as in Kipf's files.
-      sample_every: steps between frames.
-      seed, split: together decide every random number.
-      progress: called with the number of runs done, or None.
-    """
+def simulate_split(system, n_run, n_steps, sample_every, seed, split):
+    """The arrays of one split of S runs, by the prefix of their file names: 'loc', 'vel', 'edges',
+    float32, shapes in the module docstring. The last frame is left out, as in Kipf's files. Seed
+    and split together decide every random number."""
     parts = []
-    for index, start in enumerate(range(0, n_run, CHUNK)):
+    starts = tqdm.tqdm(range(0, n_run, CHUNK), split, unit='chunk', disable=None)
+    for index, start in enumerate(starts):
         key = [seed, SPLITS.index(split), index]
         rng = np.random.Generator(np.random.Philox(np.random.SeedSequence(key)))
         count = min(CHUNK, n_run - start)
@@ -208,24 +176,13 @@ def simulate_split(system, n_run, n_steps, sample_every, seed, split, progress=N
         loc, vel = (x.transpose(0, 1, 3, 2) for x in (position, velocity))
         arrays = {'loc': loc, 'vel': vel, 'edges': relations}
         parts.append({k: v.astype(np.float32) for k, v in arrays.items()})
-        if progress:
-            progress(count)
     return {k: np.concatenate([p[k] for p in parts]) for k in parts[0]}
 
 
 def write_dataset(system, name, counts, n_steps, sample_every, seed, output_path):
-    """Simulates all splits and writes them with `simulation.json`, which holds every setting.
-
-    Args:
-      system: the system.
-      name: its name, one of `SYSTEMS`.
-      counts: {split: S}.
-      n_steps, sample_every, seed: see `simulate_split`.
-      output_path: folder; made if missing.
-
-    Raises:
-      ValueError: a setting that makes no frame, or a folder that holds such files already.
-    """
+    """Simulates splits (`counts`: split -> S) of a system of `SYSTEMS` and writes them with
+    `simulation.json`, which holds every setting, into a folder, made if missing. ValueError: a
+    setting that makes no frame, or a folder that holds such files already."""
     if not (sample_every >= 1 and n_steps >= 3 * sample_every):
         raise ValueError(
             f'length {n_steps} with sample_freq {sample_every} gives fewer than two frames'
@@ -239,12 +196,10 @@ def write_dataset(system, name, counts, n_steps, sample_every, seed, output_path
             f'{output_path}: holds {sorted(present)[0]} already; nothing was written, give another '
             f'--output_path'
         )
-    with tqdm.tqdm(total=sum(counts.values()), unit='run', disable=None) as bar:
-        for split, n_run in counts.items():
-            arrays = simulate_split(system, n_run, n_steps, sample_every, seed, split, bar.update)
-            for prefix, array in arrays.items():
-                path = os.path.join(output_path, f'{prefix}_{split}_{suffix}.npy')
-                write_array(path, array)
+    for split, n_run in counts.items():
+        arrays = simulate_split(system, n_run, n_steps, sample_every, seed, split)
+        for prefix, array in arrays.items():
+            write_array(os.path.join(output_path, f'{prefix}_{split}_{suffix}.npy'), array)
     settings = {'runs': counts, 'length': n_steps, 'sample_freq': sample_every, 'seed': seed}
     path = os.path.join(output_path, f'simulation_{suffix}.json')
     files.write_json(path, {'system': name, **dataclasses.asdict(system), **settings})

@@ -44,12 +44,8 @@ class LateDecay(tf.keras.optimizers.schedules.LearningRateSchedule):
 
 
 def turned(features: tf.Tensor, seed: tf.Tensor) -> tf.Tensor:
-    """Exchanges and reverses the axes of each run at random, by a symmetry of its box.
-
-    Args:
-      features: float32 [B, V, T, 2 D], positions around the middle of the box, then velocities.
-      seed: int32 [2].
-    """
+    """Exchanges and reverses the axes of each run at random, by a symmetry of its box: of features,
+    float32 [B, V, T, 2 D], positions around its middle, then velocities; seed int32 [2]."""
     batch, n_node, n_frame, n_feature = features.shape
     dim = n_feature // 2
     draws = tf.random.stateless_uniform([batch, 2, dim], seed)
@@ -60,17 +56,9 @@ def turned(features: tf.Tensor, seed: tf.Tensor) -> tf.Tensor:
 
 
 class Trainer:
-    """Data held in memory, optimiser and the compiled step.
-
-    Every window of every run is a sample; an epoch is all of them once, in random order.
-
-    Args:
-      model: `NriModel`.
-      train: training split, which fits the model; with edges if that is supervised.
-
-    Raises:
-      ValueError: supervised training without edges, or modes as isotropic.
-    """
+    """Data held in memory, optimiser and the compiled step. Every window of every run is a sample;
+    an epoch is all of them once, in random order. ValueError: supervised training without edges, or
+    modes as isotropic."""
 
     def __init__(self, model: NriModel, train: NriData):
         self.model, self.config = model, model.config
@@ -134,14 +122,8 @@ class Trainer:
         """Losses, edge usage and, where the truth is known, edge accuracy on the first window.
 
         The same losses with the same prior as in training; edges are sampled with a fixed seed.
-
-        Args:
-          data: a split, which fits the model.
-
-        Returns:
-          'loss' ..., 'usage', 'entropy', 'status' of `losses.edge_usage`, and 'accuracy', 'naming'
-          of `losses.edge_accuracy`.
-        """
+        Returns 'loss' ..., 'usage', 'entropy', 'status' of `losses.edge_usage`, and 'accuracy',
+        'naming' of `losses.edge_accuracy`."""
         config = self.config
         windows = data.features[:, :, : config.span : config.stride]
         totals: dict[str, float] = {}
@@ -167,20 +149,12 @@ class Trainer:
 
 
 def train(data_path: str, model_path: str, config: NriConfig) -> dict:
-    """Trains to the last epoch, or resumes; the weights of the best validation loss are kept.
+    """Trains on a folder of `data.load` to the last epoch, or resumes; the weights of the best
+    validation loss are kept.
 
-    Args:
-      data_path: folder for `data.load`.
-      model_path: folder of the model: config.json, weights.npz (best), history.json (a row per
-        epoch), metrics.json (of the kept weights on the test split), ckpt-* and TensorBoard events.
-      config: the settings.
-
-    Returns:
-      what metrics.json holds.
-
-    Raises:
-      ValueError: bad data, another model in `model_path`, a loss that is not finite.
-    """
+    A model folder holds config.json, weights.npz (best), history.json (a row per epoch),
+    metrics.json (of the kept weights on the test split; returned), ckpt-* and TensorBoard events.
+    ValueError: bad data, another model in `model_path`, a loss that is not finite."""
     splits = {
         split: nri_data.load(data_path, split, config.nodes, config.modes)
         for split in ('train', 'valid', 'test')
