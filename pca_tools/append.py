@@ -11,8 +11,6 @@ Examples:
     lts append --raw_path=raw/excavation --data_path=datasets/Excavation
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 
@@ -70,8 +68,8 @@ def _encode_new(
     sample = ParticleSample.read(data_path, next(iter(held.parts)))
     records = {convert.run_key(run.parameters): run for part in held.parts.values() for run in part}
     new, twice = [], {}
-    for index, case in enumerate(runs.cases):
-        parameters = {**runs.parameters(index), 'case': case}
+    for index in range(len(runs)):
+        parameters = runs.parameters(index)
         record = records.get(convert.run_key(parameters))
         if record is None:
             new.append(index)

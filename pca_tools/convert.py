@@ -2,9 +2,9 @@
 
 A dataset is `{train,valid,test}.tfrecord`, metadata, subspace, a sample of the particles of each
 split (`particles_<split>.npz`), its heights where the raw runs have them (`heights_<split>.npz`),
-and a manifest. The subspace is fitted on the training runs only,
-with one run in memory at a time. Runs whose parameters name a split go there. All files are made in
-a folder beside the output, which takes its name at the very end: it is there whole or not at all.
+and a manifest. The subspace is fitted on the training runs only, with one run in memory at a time.
+Runs whose parameters name a split go there. All files are made in a folder beside the output, which
+takes its name at the very end: it is there whole or not at all.
 
 Examples:
     lts convert --raw_path=raw/excavation --output_path=datasets/Excavation
@@ -27,8 +27,6 @@ Examples:
 
 `pca_tools.append` adds runs to a dataset that is there.
 """
-
-from __future__ import annotations
 
 import contextlib
 import os
@@ -77,15 +75,9 @@ def convert(
     cluster: str | None = None,
     packed: bool = True,
 ) -> dict[str, Any]:
-    """Converts a folder of raw runs; arguments as the flags of the same names.
-
-    Returns:
-        The metadata of the new dataset.
-
-    Raises:
-        FileNotFoundError: a folder or file is missing.
-        ValueError: bad raw runs, bad arguments, or an output folder that is not empty.
-    """
+    """Converts a folder of raw runs; arguments as the flags of the same names. Returns the metadata
+    of the new dataset. FileNotFoundError: a folder or file is missing. ValueError: bad raw runs,
+    bad arguments, or an output folder that is not empty."""
     if frame_stride < 1:
         raise ValueError(f'frame_stride is {frame_stride}, at least 1 was expected')
     encode.refuse_occupied_output(output_path, overwrite)
@@ -112,10 +104,10 @@ def convert(
     else:
         refuse_other_scene(like, base, runs)
         trained = {run_key(case) for case in base.get('cases', {}).get('train', [])}
-        parameters = ({**runs.parameters(i), 'case': case} for i, case in enumerate(runs.cases))
-        if known := [held['case'] for held in parameters if run_key(held) in trained]:
-            raise ValueError(f'{like}: was trained on the cases {known}; they are no test of it')
         every = list(range(len(runs)))
+        known = [runs.cases[i] for i in every if run_key(runs.parameters(i)) in trained]
+        if known:
+            raise ValueError(f'{like}: was trained on the cases {known}; they are no test of it')
         dealt = given_splits(runs, every, need_train=False) or {'test': every}
         wide = space
     sampled = particles.choose_particles(space.initial)
@@ -163,9 +155,8 @@ def given_splits(
 
 
 def _known_ids(hold_out: Sequence[int | str], cases: Sequence[int | str]) -> set[str]:
-    held = {str(case) for case in hold_out}
-    unknown = held - {str(case) for case in cases}
-    if unknown:
+    held = set(map(str, hold_out))
+    if unknown := held - set(map(str, cases)):
         raise ValueError(f'hold_out names {sorted(unknown)}, which are not among the cases')
     return held
 

@@ -10,8 +10,6 @@ micrometre, particles of a rigid body as their places on the body, which its pos
 everything else bit for bit. Both are read alike.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import os

@@ -4,14 +4,12 @@ The files of a dataset are those of `pca_tools.convert`; it, `append` and `subse
 runs these are.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import os
 import statistics
 import tempfile
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Self
 
 import numpy as np
 from tqdm import tqdm
@@ -57,17 +55,12 @@ class Contents:
     metadata: dict[str, Any]  # of `make_metadata`
     grid: Grid | None = None  # where the map of heights of every run lies; None without one
 
-    def with_parts(self, parts: Parts, world: Mapping[str, Any] | None = None) -> Contents:
-        """Returns a dataset of other runs in the same subspace, with the same statistics.
-
-        `world` is `scene`, `bounds` and `dt` of those that are new; splits without runs are left
-        out.
-        """
-        parts = {split: part for split, part in parts.items() if part}
-        base = self.metadata
-        metadata = make_metadata(
-            parts, self.space, world or base, base, packed=base.get('packed', False)
-        )
+    def with_parts(self, parts: Parts, world: Mapping[str, Any] | None = None) -> Self:
+        """Returns a dataset of other runs in the same subspace, with the same statistics; `world`
+        is `scene`, `bounds` and `dt` of those that are new. Splits without runs are left out."""
+        parts, base = {split: part for split, part in parts.items() if part}, self.metadata
+        packed = base.get('packed', False)
+        metadata = make_metadata(parts, self.space, world or base, base, packed=packed)
         return dataclasses.replace(self, parts=parts, metadata=metadata)
 
 
@@ -99,13 +92,10 @@ def encode_runs(
 def projection_details(
     positions: np.ndarray, space: Subspace, scores: np.ndarray
 ) -> dict[str, float]:
-    """Measures what is lost between particles [T, N, 3] (m) and their scores [T, r, 3] (m).
-
-    Returns:
-        `projection_mse` in m^2 over frames, particles and axes; `projection_max_mm`, the farthest
-        particle in mm; `motion_mse`, mean square of the displacement from frame 0 in m^2;
-        `motion_kept`, the share of it that lies in the subspace.
-    """
+    """Measures what is lost between particles [T, N, 3] (m) and their scores [T, r, 3] (m):
+    `projection_mse` in m^2 over frames, particles and axes; `projection_max_mm`, the farthest
+    particle in mm; `motion_mse`, mean square of the displacement from frame 0 in m^2;
+    `motion_kept`, the share of it that lies in the subspace."""
     residual = positions - space.decode(scores)
     displacement = positions.astype(np.float64) - positions[0]
     moved = float(np.mean(displacement**2))
@@ -268,9 +258,11 @@ def make_metadata(
         scene, bounds = base['scene'], union_of_bounds([base['bounds'], bounds])
     trajectories = [run.trajectory for part in parts.values() for run in part]
     n_frames = max(run.n_frames for run in trajectories)
-    lengths = {name: [run.trajectory.n_frames for run in part] for name, part in parts.items()}
-    differ = any(run.n_frames != n_frames for run in trajectories)
 
+    def of_runs(value: Callable[[EncodedRun], Any]) -> dict[str, list]:
+        return {split: [value(run) for run in part] for split, part in parts.items()}
+
+    lengths = {'frames_of_runs': of_runs(lambda run: run.trajectory.n_frames)}
     return {
         'schema_version': SCHEMA_VERSION,
         'scene': scene,
@@ -279,7 +271,7 @@ def make_metadata(
         'sequence_length': n_frames - 1,
         'frames_stored': n_frames,
         # Only where the runs differ in length: sequence_length is then the longest.
-        **({'frames_of_runs': lengths} if differ else {}),
+        **(lengths if len({run.n_frames for run in trajectories}) > 1 else {}),
         'default_connectivity_radius': CONNECTIVITY_RADIUS,
         'dim': 3,
         'dt': world['dt'],
@@ -314,25 +306,17 @@ def make_metadata(
             },
         },
         'particles': {name: ParticleSample.path_of('', name) for name in parts},
-        **{
-            key: {name: [run.details[key] for run in part] for name, part in parts.items()}
-            for key in PROJECTION_KEYS
-        },
-        'dataset_split': {
-            name: [run.parameters['case'] for run in part] for name, part in parts.items()
-        },
-        'cases': {name: [run.parameters for run in part] for name, part in parts.items()},
+        **{key: of_runs(lambda run, key=key: run.details[key]) for key in PROJECTION_KEYS},
+        'dataset_split': of_runs(lambda run: run.parameters['case']),
+        'cases': of_runs(lambda run: run.parameters),
     }
 
 
 def motion_statistics(trajectories: Sequence[dataset.Trajectory]) -> dict[str, list[float]]:
-    """Computes the normalisation statistics of DeepMind's metadata and of the authors'.
-
-    Returns:
-        `vel_mean, vel_std, acc_mean, acc_std` [3] per frame (v_t = x_t - x_{t-1}, a_t = v_t -
-        v_{t-1}, not divided by dt), over all nodes that are not kinematic; the same of
-        `rigid_body_force`, `rigid_body_torque` [3] and `context` [C] where the runs have them.
-    """
+    """Computes the normalisation statistics of DeepMind's metadata and of the authors': `vel_mean,
+    vel_std, acc_mean, acc_std` [3] per frame (v_t = x_t - x_{t-1}, a_t = v_t - v_{t-1}, not divided
+    by dt), over all nodes that are not kinematic; the same of `rigid_body_force`,
+    `rigid_body_torque` [3] and `context` [C] where the runs have them."""
     moving = [
         run.position[:, run.particle_type != dataset.KINEMATIC_PARTICLE_ID].astype(np.float64)
         for run in trajectories

@@ -16,8 +16,6 @@ Examples:
         --output_path=paraview
 """
 
-from __future__ import annotations
-
 import functools
 import os
 from collections.abc import Iterator, Sequence

@@ -4,8 +4,6 @@ Every writer goes through those of `pca_tools.storage.whole_files`. A folder is 
 `manifest.json`, written last, lists each file with its bytes and sha256.
 """
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import json

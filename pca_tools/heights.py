@@ -5,8 +5,6 @@ over a grid of the two horizontal axes, metres (`mpm/height_map.py` says how our
 A dataset keeps every fourth frame, to within 0.05 mm: 2 to 47 kB a run of the solver's bins.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 

@@ -17,8 +17,6 @@ Examples:
         --length_scale=4 --force_scale=64
 """
 
-from __future__ import annotations
-
 import dataclasses
 import os
 import statistics
@@ -47,11 +45,8 @@ def import_data(
     check_units: bool = True,
 ) -> str:
     """Imports a folder; arguments as the flags of the same names. Returns what was done, as text.
-
-    Raises:
-        FileNotFoundError: there is no such folder.
-        ValueError: data that are not known, damaged, or lack what nobody stated.
-    """
+    FileNotFoundError: there is no such folder. ValueError: data that are not known, damaged, or
+    lack what nobody stated."""
     kind = formats.detect(folder)
     if kind in (formats.RAW, formats.DATASET):
         raise ValueError(formats.NO_IMPORT[kind].format(folder=folder))

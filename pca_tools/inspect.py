@@ -8,8 +8,6 @@ Examples:
     lts inspect /data/Subspace-Graph-Physics/Excavation_PCA
 """
 
-from __future__ import annotations
-
 import collections
 import dataclasses
 import itertools
@@ -49,10 +47,9 @@ _MAX_NAMED = 5
 class Inspection:
     """What is in a dataset folder."""
 
-    folder: str  # the folder
-    metadata: dict[str, Any] | None = None  # its metadata, or None if unreadable
-    # Split -> readable runs
-    splits: dict[str, list[Trajectory]] = dataclasses.field(default_factory=dict)
+    folder: str
+    metadata: dict[str, Any] | None = None  # None if unreadable
+    splits: dict[str, list[Trajectory]] = dataclasses.field(default_factory=dict)  # readable runs
     # Results of all checks: OK, WARN or ERROR, and a sentence: what is and what to do
     findings: list[tuple[str, str]] = dataclasses.field(default_factory=list)
     n_soil: int | None = None  # N, or None if nothing says it

@@ -10,8 +10,6 @@ numpy's own functions are called: `dtype.__setstate__` takes flags with which an
 handled as an array of pointers.
 """
 
-from __future__ import annotations
-
 import io
 import os
 import pickle

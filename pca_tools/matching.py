@@ -1,7 +1,5 @@
 """Which particle is which, where runs start alike but list their particles in different orders."""
 
-from __future__ import annotations
-
 import numpy as np
 
 # Nearest neighbours that may be each other's partner; the first number that admits a one-to-one

@@ -7,8 +7,6 @@ The keys are DeepMind's (learning_to_simulate) and the authors' (Subspace-Graph-
 on top and are optional.
 """
 
-from __future__ import annotations
-
 import math
 import os
 import sys

@@ -8,8 +8,6 @@ dataset keeps what its modes cannot tell: a sample of the particles (`pca_tools.
 map of heights (`pca_tools.heights`), as whole steps from `rest`: most soil rests most of the time.
 """
 
-from __future__ import annotations
-
 import abc
 import lzma
 import math

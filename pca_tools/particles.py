@@ -8,8 +8,6 @@ A run is stored as whole steps of `resolution` from the rest place (`pca_tools.p
 particles rest most of the time, so nearly all bytes are 0. Runs can be read one by one.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from pca_tools.metadata import DIM

@@ -11,8 +11,6 @@ Examples:
     lts modes datasets/Excavation --output_path=plots --raw_path=raw/excavation
 """
 
-from __future__ import annotations
-
 import os
 import time
 from collections.abc import Sequence

@@ -6,8 +6,6 @@ and sha256 are held against the manifest when a run is first opened. Every check
 so that a person learns of all faults at once.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 import json
@@ -145,9 +143,11 @@ class RawRuns(Sequence):
         return RawRun(case=case, context=context, parameters=parameters, **series)
 
     def parameters(self, index: int) -> dict[str, Any]:
-        """Returns the parameters of run `index`, from the manifest where it lists them."""
+        """Returns the parameters of run `index`, from the manifest where it lists them, with its
+        case id."""
         listed = self._entries[index].get('parameters')
-        return listed if isinstance(listed, dict) else self[index].parameters
+        held = self[index].parameters if listed is None else listed
+        return {**held, 'case': self.cases[index]}
 
     def check(
         self,
@@ -184,7 +184,7 @@ class RawRuns(Sequence):
             faults += self._up_axis_faults(extent)
         raise_faults(self.folder, faults)
 
-    def _up_axis_faults(self, extent: Extent) -> list[str]:
+    def _up_axis_faults(self, extent: 'Extent') -> list[str]:
         axis, reason = infer_up_axis(extent, self.bounds, self.scene.get('gravity'))
         stated = self.scene.get('up_axis')
         if stated is None and axis is None:
@@ -211,7 +211,7 @@ class SoilPositions(Sequence):
     def __init__(self, runs: RawRuns, indices: Sequence[int], frame_stride: int = 1):
         self._runs, self._indices, self._stride = runs, list(indices), frame_stride
 
-    def part(self, start: int, stop: int) -> SoilPositions:
+    def part(self, start: int, stop: int) -> 'SoilPositions':
         return SoilPositions(self._runs, self._indices[start:stop], self._stride)
 
     def __len__(self) -> int:

@@ -5,8 +5,6 @@ Algorithm 3. The blade is coplanar, so without the determinant fix every second 
 reflection.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
@@ -29,13 +27,9 @@ class RigidMotion(NamedTuple):
 
 
 def fit_rigid_motion(source: np.ndarray, target: np.ndarray) -> RigidMotion:
-    """Finds the rigid motion of `source` [R, 3] (m) onto `target` with least squared distance.
-
-    R is at least 3; where the points lie on a line, the turn about it is any.
-
-    Raises:
-        ValueError: shapes differ or are not [R, 3], fewer than 3 points, or NaN.
-    """
+    """Finds the rigid motion of `source` [R, 3] (m) onto `target` with least squared distance;
+    where the points lie on a line, the turn about it is any. ValueError: shapes differ or are not
+    [R, 3], fewer than 3 points, or NaN."""
     source, target = np.asarray(source, np.float64), np.asarray(target, np.float64)
     if source.shape != target.shape or source.ndim != 2 or source.shape[1] != 3:
         raise ValueError(f'source {source.shape} and target {target.shape} must both be [R, 3]')

@@ -9,8 +9,6 @@ Examples:
     python -m pca_tools.subset --data_path=datasets/excavation --kinds=grid --output_path=grid
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

@@ -9,13 +9,12 @@ static layout), `configuration` subtracts the mean position of every particle (N
 modes hold motion.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import hashlib
 import warnings
 from collections.abc import Sequence
+from typing import Self
 
 import numpy as np
 from tqdm import tqdm
@@ -94,7 +93,7 @@ class Subspace:
         """Mean squared error in m^2 that the r modes leave; see the plural."""
         return float(self.projection_floors[self.n_modes])
 
-    def truncated(self, n_modes: int) -> Subspace:
+    def truncated(self, n_modes: int) -> Self:
         """Returns the subspace of the first `n_modes` of its modes."""
         return dataclasses.replace(
             self, components=np.ascontiguousarray(self.components[:, :n_modes])
@@ -131,7 +130,7 @@ class Subspace:
         files.write_npz(path, **{name: getattr(self, name) for name in names})
 
     @classmethod
-    def load(cls, path: str) -> Subspace:
+    def load(cls, path: str) -> Self:
         """Reads a subspace written by `save`. FileNotFoundError: there is no such file. ValueError:
         damaged or foreign file, arrays that do not fit, or a digest that disagrees."""
         arrays = files.read_npz(path)

@@ -10,12 +10,11 @@ Framing of one record: length (uint64 little-endian), masked CRC32C of the lengt
 CRC32C of the data (https://www.tensorflow.org/tutorials/load_data/tfrecord).
 """
 
-from __future__ import annotations
-
 import dataclasses
 import os
 import struct
 from collections.abc import Iterable, Iterator, Mapping
+from typing import Self
 
 import numpy as np
 
@@ -43,7 +42,7 @@ class SequenceRecord:
     @classmethod
     def of(
         cls, key: int, particle_type: np.ndarray, series: Mapping[str, np.ndarray | None]
-    ) -> SequenceRecord:
+    ) -> Self:
         """Returns the record of series [T, ...], one buffer a frame; None is left out."""
         frames = {
             name: [frame.tobytes() for frame in np.ascontiguousarray(values, '<f4')]

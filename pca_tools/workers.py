@@ -10,8 +10,6 @@ Functions that write should write one whole file per input and skip what is ther
 that was killed, scheduler and all, goes on when it is given again.
 """
 
-from __future__ import annotations
-
 import concurrent.futures
 import contextlib
 import dataclasses

@@ -4,8 +4,6 @@ One module per format: `read(folder, options)` gives the data, `write(folder, da
 `detect` says what kind of data a folder holds, told by its files.
 """
 
-from __future__ import annotations
-
 import os
 from types import ModuleType
 

@@ -3,8 +3,6 @@
 One `SequenceExample` per trajectory; `sequence_length` counts the frames but the first.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator
 from typing import Any

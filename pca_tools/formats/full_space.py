@@ -4,8 +4,6 @@ Types are DeepMind's: 0 rigid, 3 kinematic (boundary, prescribed), 5 water, 6 sa
 format maps its own to these.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence

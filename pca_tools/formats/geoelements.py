@@ -5,8 +5,6 @@ A trajectory is (positions [T, N, D], particle type [N] or one number[, material
 last is not kept. Object arrays are pickles, which `pca_tools.legacy_pickles` reads and never runs.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator
 from typing import Any

@@ -4,8 +4,6 @@ Also read: geoelements' second HDF5 layout (`positions` in place of `position`).
 the data, which LagrangeBench runs, is never run and never written.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator
 from typing import Any

@@ -5,8 +5,6 @@ flag (0 soil, 1 body), x, y, z and more that is not read. A particle whose row i
 was.
 """
 
-from __future__ import annotations
-
 import os
 import re
 

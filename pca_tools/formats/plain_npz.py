@@ -4,8 +4,6 @@
 the body.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import os

@@ -5,8 +5,6 @@ describes them; numpy and the standard library are enough to write them. Reading
 program, so VTK itself does it. A series is a `.pvd` per run, or a folder of `.vtp` per run.
 """
 
-from __future__ import annotations
-
 import base64
 import os
 import re

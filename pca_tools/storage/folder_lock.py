@@ -5,8 +5,6 @@ share a file system which passes locks on, and lets go of it when the process en
 The content of the file is for the message alone.
 """
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import fcntl

@@ -5,8 +5,6 @@ container with the same process ids) has it and no link lies in wait there; what
 failure is only what this call has made.
 """
 
-from __future__ import annotations
-
 import contextlib
 import ctypes
 import errno
