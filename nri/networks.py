@@ -40,8 +40,8 @@ def _one_way(n_node):
 
 def both_ways(of_mutual: tf.Tensor, n_node: int) -> tf.Tensor:
     """Values of pairs i < j for both directions: [B, V (V - 1) / 2, C] -> [B, V (V - 1), C]."""
-    return tf.gather(of_mutual, np.argsort(np.concatenate(_one_way(n_node))) % of_mutual.shape[1],
-                     axis=1)  # fmt: skip
+    places = np.argsort(np.concatenate(_one_way(n_node))) % of_mutual.shape[1]
+    return tf.gather(of_mutual, places, axis=1)
 
 
 def mean_of_both_ways(of_pair: tf.Tensor, n_node: int) -> tf.Tensor:

@@ -32,11 +32,7 @@ ON_ONE_THREAD = 'times', 'stability', 'beyond', 'explain'
 
 
 def main(arguments: list[str]) -> None:
-    """Runs the report `arguments[0]` with the flags that follow, or prints the list.
-
-    Raises:
-        SystemExit: no report of that name.
-    """
+    """Runs the report `arguments[0]` with the flags that follow, or prints the list."""
     if not arguments or arguments[0] in command.HELP:
         print(__doc__)
         for name, (_, what) in REPORTS.items():

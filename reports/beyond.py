@@ -1,9 +1,8 @@
 """Whether the status of a soil field tells good frames from bad ones: runs that leave its data.
 
 Each run of kind `beyond` (`mpm/motions/beyond.py`) but the usual one leaves in one way what fields
-were taught. The
-shipped fields roll out these and the test runs of the data of record; the errors of the frames that
-they flag stand beside those of frames that they do not.
+were taught. The shipped fields roll out these and the test runs of the data of record; the errors
+of the frames that they flag stand beside those of frames that they do not.
 
 Examples:
     python -m mpm.generate --scene=wheel --operator_seeds=0-10 --kinds=beyond --output_path=raw
@@ -15,7 +14,10 @@ Examples:
 import numpy as np
 from absl import flags
 
+import learning_to_simulate as lts
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
+from learning_to_simulate.rollout_status import RolloutStatus
+from learning_to_simulate.soil_field import runs as runs_lib
 from pca_tools import dataset, files
 from reports import markdown, record
 from reports.protocol import judge
@@ -25,12 +27,8 @@ SCENES = {'excavation': ('excavation', 'excavation_wide'), 'wheel': ('wheel',)}
 
 
 def judged(scene: str) -> dict:
-    """Runs of kind `beyond` with their errors, and `judge.separation` of the test runs, of these
-    runs and of both."""
-    import learning_to_simulate as lts
-    from learning_to_simulate.rollout_status import RolloutStatus
+    """Runs of kind `beyond` with their errors, and `judge.separation` without and with them."""
     from learning_to_simulate.soil_field import evaluation
-    from learning_to_simulate.soil_field import runs as runs_lib
 
     field = lts.load(scene).model
     judges = evaluation.SoilEvaluator(field, under_load=False)
@@ -50,25 +48,18 @@ def judged(scene: str) -> dict:
                 kept = ('soil_mm', 'force_relative_l2', 'flagged_share')
                 rows.append({'run': plots[run.case], 'reason': rollout.judgement.reason}
                             | {key: errors[key] for key in kept})  # fmt: skip
-    both = frames['test'] + frames['beyond']
-    return {
-        'runs': rows,
-        'separation': {
-            'test runs': judge.separation(frames['test']),
-            'with those beyond': judge.separation(both),
-        },
-    }
+    told = {'test runs': frames['test'], 'with those beyond': frames['test'] + frames['beyond']}
+    return {'runs': rows, 'separation': {name: judge.separation(of) for name, of in told.items()}}
 
 
 def table(path: str) -> str:
     """The runs, and below them the errors of flagged frames and of others."""
-    rows = []
-    for scene, found in files.read_json(path)['scenes'].items():
-        for row in found['runs']:
-            rows.append([
-                f'{scene}: {row["run"]}', row['soil_mm'], row['force_relative_l2'],
-                f'{100 * row["flagged_share"]:.0f}', row['reason'].partition(':')[0],
-            ])  # fmt: skip
+    rows = [
+        [f'{scene}: {row["run"]}', row['soil_mm'], row['force_relative_l2'],
+         f'{100 * row["flagged_share"]:.0f}', row['reason'].partition(':')[0]]
+        for scene, found in files.read_json(path)['scenes'].items()
+        for row in found['runs']
+    ]  # fmt: skip
     header = 'run', 'soil, mm', 'force, rel. L2', 'frames flagged, %', 'reason'
     return markdown.table(header, rows)
 

@@ -29,18 +29,12 @@ NAMED = re.compile(r'<!-- table: ([\w.]+):(\w+)((?: [^\s>]+)*) -->\n((?:.+\n)*)'
 
 
 def render(text: str) -> str:
-    """A document with its named tables made anew.
-
-    Raises:
-      ValueError: a comment names no function, or one that makes no table of its arguments.
-    """
+    """A document with its named tables made anew; ValueError: a comment names no function, or one
+    that makes no table of its arguments."""
 
     def made(match):
         module, name, arguments, _ = match.groups()
-        paths = [
-            os.path.join(ROOT, a) if os.path.exists(os.path.join(ROOT, a)) else a
-            for a in arguments.split()
-        ]
+        paths = [p if os.path.exists(p := os.path.join(ROOT, a)) else a for a in arguments.split()]
         try:
             table = getattr(importlib.import_module(module), name)(*paths)
         except (ImportError, AttributeError, TypeError, KeyError, OSError) as error:

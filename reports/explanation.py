@@ -20,36 +20,21 @@ _TRANSPOSED = {'MatMul': 'transpose_a', 'BatchMatMulV2': 'adj_x'}
 
 @dataclasses.dataclass
 class Item:
-    """One thing that is left out.
-
-    Attributes:
-      name: what it is.
-      edges: that exist without it, on top.
-      mflop: per step.
-      weights: trained numbers.
-      variants: names of the rollouts without and with it, or None if it cannot be switched alone.
-      us_per_step: time that it saves, or None.
-    """
+    """One thing that is left out, and what there would be on top without it."""
 
     name: str
     edges: int | None = None
-    mflop: float | None = None
+    mflop: float | None = None  # per step
     weights: int | None = None
+    # Names of the rollouts without and with it; None: it cannot be switched alone.
     variants: tuple[str, str] | None = None
-    us_per_step: float | None = None
+    us_per_step: float | None = None  # time that it saves
 
 
 class Explanation:
-    """The items of one model and scene.
-
-    Args:
-      model_path: trained graph network.
-      data_path: its dataset folder; the first test run is rolled out.
-
-    Raises:
-      FileNotFoundError, ValueError: no model or data there, they do not belong together, or the
-        model has no graph.
-    """
+    """The items of a trained graph network, by the first test run of its dataset.
+    FileNotFoundError, ValueError: no model or data there, they do not belong together, or the model
+    has no graph."""
 
     def __init__(self, model_path: str, data_path: str):
         opened = registry.open_model(model_path, data_path, 'test')
@@ -164,11 +149,8 @@ class Explanation:
             yield Item('coming motion of the body: rows of the first layer')
 
     def measure(self, rounds: int) -> dict:
-        """Times all variants in turns, fills in the items and returns everything, JSON-able.
-
-        Args:
-          rounds: timed rollouts of each variant.
-        """
+        """Times `rounds` rollouts of all variants in turns, fills in the items and returns
+        everything, JSON-able."""
         jobs = {
             name: timing.Job(partial(_first_output, function, inputs), inputs[-1])
             for name, (function, inputs) in self._calls.items()

@@ -23,6 +23,9 @@ from typing import Any
 import numpy as np
 from absl import flags
 
+import learning_to_simulate as lts
+from learning_to_simulate.baselines import earthmoving
+from learning_to_simulate.baselines import wheel_terramechanics as terramechanics
 from pca_tools import files
 from reports import markdown, record
 
@@ -66,8 +69,6 @@ class Simple:
     """A ground without memory but for what was cut or pressed in: `spring` or `formula`."""
 
     def __init__(self, name, run, model, data):
-        from learning_to_simulate.baselines import wheel_terramechanics as terramechanics
-
         self._name, self._run, self._model, self._data = name, run, model, data
         self._level = float(np.median(run.before().heights))
         self._area = 0.0
@@ -112,8 +113,6 @@ class Simple:
         self.force = force
 
     def _cut(self, depth, speed):
-        from learning_to_simulate.baselines import earthmoving
-
         soil = earthmoving.BladeSoil.of(self._run.soil, self._run.tool)
         angle = self._data.joint('lean').qpos[0]
         parts = earthmoving.cutting_force(
@@ -215,7 +214,6 @@ def rest(field, mass: float, dt: float, implicit: bool) -> dict:
     the last half second, drift there (mm/s), sinkage (mm); or why it was refused."""
     import mujoco
 
-    import learning_to_simulate as lts
     from learning_to_simulate.mujoco_soil import MujocoSoil
     from learning_to_simulate.soil_field.stepper import SoilStepper
 
@@ -287,9 +285,7 @@ def coupling_table(path: str) -> str:
     """How far coupling and `LoadedTool` move one field's tools apart, mm: largest by tool."""
     rows = files.read_json(path)['machines']
     tools = sorted({row['tool'] for row in rows})
-    lines = [
-        (t, max(r['coupling_mm'] or 0.0 for r in rows if r['tool'] == t)) for t in tools
-    ]  # fmt: skip
+    lines = [(t, max(r['coupling_mm'] or 0.0 for r in rows if r['tool'] == t)) for t in tools]
     return markdown.table(('tool', 'apart, rms mm'), lines)
 
 

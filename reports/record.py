@@ -10,13 +10,10 @@ ROOT = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 
 
 def provenance(threads: int | None = None) -> dict:
-    """Command, commit and machine, for the head of a report's JSON.
-
-    Args:
-      threads: CPU threads that TensorFlow was given; None where that decides nothing.
-    """
+    """Command, commit and machine, for the head of a report's JSON; `threads` of the CPU are those
+    that TensorFlow was given, None where that decides nothing."""
     command = ' '.join(['python -m', *sys.argv])
-    return {'command': command, 'commit': _commit(), 'machine': facts(threads)}
+    return {'command': command, 'commit': _commit(), 'machine': _facts(threads)}
 
 
 def _commit():
@@ -31,12 +28,8 @@ def _commit():
     return done.stdout.strip()
 
 
-def facts(threads: int | None) -> dict:
-    """The machine, its load and the versions that decide about times.
-
-    Args:
-      threads: CPU threads that TensorFlow was given; None where that decides nothing.
-    """
+def _facts(threads: int | None) -> dict:
+    """The machine, its load and the versions that decide about times."""
     return {
         'cpu': _first_field('/proc/cpuinfo', 'model name') or platform.processor(),
         'cores': os.cpu_count(),

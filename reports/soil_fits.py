@@ -28,6 +28,9 @@ import tqdm
 from absl import flags
 
 from learning_to_simulate import command
+from learning_to_simulate.soil_field import fit_soil
+from learning_to_simulate.soil_field.terrain import Terrain
+from learning_to_simulate.soil_field.tools import Wheel
 from pca_tools import dataset, files
 from reports import markdown, record
 
@@ -73,7 +76,7 @@ def summary(entries: list[dict]) -> dict:
 
 def known_soils(field) -> dict[str, list[dict]]:
     """Fits of runs of the data of record: those that calibrate, and those that judge."""
-    from learning_to_simulate.soil_field import digs, fit_soil
+    from learning_to_simulate.soil_field import digs
 
     cases = {
         (split, str(case['case'])): case
@@ -107,7 +110,7 @@ def known_soils(field) -> dict[str, list[dict]]:
 
 def unseen_soil(field, folder: str) -> dict[str, dict]:
     """Fits of all runs of a dataset at once, which share a soil (ValueError)."""
-    from learning_to_simulate.soil_field import digs, fit_soil
+    from learning_to_simulate.soil_field import digs
 
     cases = [case for of in dataset.read_metadata(folder)['cases'].values() for case in of]
     soils = {(case['friction_angle_deg'], case['bulk_density_kg_m3']) for case in cases}
@@ -124,10 +127,7 @@ def unseen_soil(field, folder: str) -> dict[str, dict]:
 
 def ding(field) -> list[dict]:
     """Fits of the published wheel, with its density given and without, of each slip and of all."""
-    from learning_to_simulate.soil_field import fit_soil
     from learning_to_simulate.soil_field.digs import Dig
-    from learning_to_simulate.soil_field.terrain import Terrain
-    from learning_to_simulate.soil_field.tools import Wheel
 
     wheel, times = Wheel(width=0.165, radius=0.15735), np.arange(FRAMES) / 60.0
     down = np.clip(times / 0.5, 0.0, 1.0)

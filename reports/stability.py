@@ -21,7 +21,11 @@ import numpy as np
 import tqdm
 from absl import flags
 
+import learning_to_simulate as lts
 from learning_to_simulate.command import named_paths
+from learning_to_simulate.live.poses import turned
+from learning_to_simulate.soil_field.terrain import Terrain
+from learning_to_simulate.soil_field.tools import Soil
 from pca_tools import files
 from reports import markdown, record, times
 
@@ -32,27 +36,16 @@ MOST, MOST_LOADED = 100, 30
 
 
 class Case(NamedTuple):
-    """One case. Lengths are those of a tool of the usual size.
+    """One case. Lengths are those of a tool of the usual size."""
 
-    Attributes:
-      name: for the table.
-      shape: of the path, see `path_of`.
-      length: m in the soil.
-      dt: s of a frame.
-      scale: of tool, path and ground.
-      soil: settings of `lts.Soil`.
-      load: where its weight moves the tool, over the usual one.
-      height: m from which it falls.
-    """
-
-    name: str
-    shape: str = 'plain'
-    length: float = 0.4
-    dt: float = 1 / 60
-    scale: float = 1.0
-    soil: dict = {}
-    load: float = 0.0
-    height: float = 0.0
+    name: str  # for the table
+    shape: str = 'plain'  # of the path, see `path_of`
+    length: float = 0.4  # m in the soil
+    dt: float = 1 / 60  # s of a frame
+    scale: float = 1.0  # of tool, path and ground
+    soil: dict = {}  # settings of `lts.Soil`
+    load: float = 0.0  # where its weight moves the tool, over the usual one
+    height: float = 0.0  # m from which it falls
 
 
 CASES = (
@@ -104,8 +97,6 @@ def path_of(case: Case, tool) -> tuple[np.ndarray, float]:
     `wall` and `edge` go 0.1 m beyond the ground; `aside` and `turn` leave the plane of the passage
     in the second half, by 0.2 m or 45 degrees; `rest` stays where it is.
     """
-    from learning_to_simulate.live.poses import turned
-
     usual = USUAL[tool.name]
     s, way = case.scale, 0.2013 + case.length  # frames that no bin ends with
     count = int(np.ceil(way / usual['speed'] / case.dt)) + 1
@@ -140,8 +131,6 @@ def walked(case: Case, field, engine: str, most: int | None = None) -> dict:
     """
     from learning_to_simulate.soil_field.loaded import LoadedTool
     from learning_to_simulate.soil_field.stepper import SoilStepper
-    from learning_to_simulate.soil_field.terrain import Terrain
-    from learning_to_simulate.soil_field.tools import Soil
 
     tool = tool_of(type(field.networks.tool()), case)
     path, along = path_of(case, tool)
@@ -248,9 +237,6 @@ def _four(value):
 def network(folder: str, data_path: str) -> list[dict]:
     """Rows of a method in a subspace, along the path of a recorded run: those cases that its
     inputs can tell."""
-    import learning_to_simulate as lts
-    from learning_to_simulate.live.poses import turned
-
     model = lts.load(folder)
     run = lts.Dataset(data_path).test.records[times.driven(data_path)]
     path = np.asarray(run.rigid_pose, np.float64)
@@ -315,9 +301,8 @@ def table(path: str) -> str:
             soil = row.get('soil_came')
             came = '' if soil is None else f'{100 * soil:.0f}'.replace('-0', '0')
             line += [_outcome(row), came]
-        lines.append(
-            line + [rows[name]['status'] if name in rows else '' for rows in nets.values()]
-        )
+        line += [rows[name]['status'] if name in rows else '' for rows in nets.values()]
+        lines.append(line)
     twins = [max(row['python_differs'] or 0.0 for row in rows.values()) for rows in fields]
     lines.append(['*C against Python*', twins[0], '', twins[1], ''])
     header = ['case']

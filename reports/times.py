@@ -23,8 +23,12 @@ import time
 import numpy as np
 from absl import flags
 
+import learning_to_simulate as lts
+from learning_to_simulate import registry
 from learning_to_simulate.command import named_paths
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from pca_tools import dataset, files
+from pca_tools.subspace import Subspace
 from reports import markdown, record, timing
 from reports.protocol import judge, tables
 
@@ -38,13 +42,8 @@ LINES = ('persistence', 'earthmoving', 'Bekker-Wong-Janosi')
 
 
 def driven(data_path: str) -> int:
-    """The record of the first test run that is driven from a flat bed.
-
-    Raises:
-      ValueError: there is none.
-    """
-    cases = _cases(data_path, 'test')
-    for number, case in enumerate(cases):
+    """The record of the first test run that is driven from a flat bed; ValueError without one."""
+    for number, case in enumerate(_cases(data_path, 'test')):
         if case.get('kind') not in NOBODY:
             return number
     raise ValueError(f'{data_path}: no test run that is driven from a flat bed')
@@ -80,7 +79,6 @@ def field_jobs(folder: str, data_path: str) -> tuple[dict, dict]:
     from learning_to_simulate.soil_field import evaluation, method
     from learning_to_simulate.soil_field.rollout import Followed
     from learning_to_simulate.soil_field.stepper import SoilStepper
-    from pca_tools.subspace import Subspace
 
     opened = method.open_model(folder, data_path, 'test')
     field, run = opened.model, opened.groups[driven(data_path)]
@@ -122,39 +120,32 @@ def field_jobs(folder: str, data_path: str) -> tuple[dict, dict]:
 
 def subspace_jobs(name: str, folder: str, data_path: str) -> dict:
     """Of a method in the subspace: (name, what) -> `timing.Job`; in C where it has that form."""
-    import learning_to_simulate as lts
-    from learning_to_simulate import evaluation, registry
-    from pca_tools.subspace import Subspace
-
     opened = registry.open_model(folder, data_path, 'test')
     number, space = driven(data_path), Subspace.load(os.path.join(data_path, 'subspace.npz'))
     group = next(
         g.select(i) for g in opened.groups for i in range(len(g.position)) if g.record[i] == number
     )
-    roll_out = opened.evaluator.roll_out
 
-    def whole():
-        roll_out(group)
+    def roll_out(has_particles):
+        rollout = opened.evaluator.roll_out(group)
+        if has_particles:
+            modes = group.with_left_modes(rollout.position)[0, :, group.n_rigid :]
+            for frame in modes:
+                space.components[:, : len(frame)] @ frame + space.mean
 
-    def particles():
-        modes = group.with_left_modes(roll_out(group).position)[0, :, group.n_rigid :]
-        for frame in modes:
-            space.components[:, : len(frame)] @ frame + space.mean
-
-    count = group.position.shape[1] - evaluation.H
     steps = registry.of_folder(folder).steps
-    label = f'{name}, {"TensorFlow" if steps else "NumPy"}'
-    jobs = {
-        (label, 'load'): timing.Job(whole, count),
-        (label, 'particles'): timing.Job(particles, count),
-    }
+    where, count = 'TensorFlow' if steps else 'NumPy', group.position.shape[1] - H
+    forms = {where: (roll_out, count)}
     live = lts.load(folder).stepper() if steps else None
     if live is not None and live.engine.startswith('C '):
         run = dataset.read_split(data_path, 'test')[number]
-        given = live, np.asarray(run.rigid_pose, np.float64)[:FRAMES], run.step_context
-        jobs[f'{name}, C', 'load'] = timing.Job(lambda: timing.stepping(*given)[0])
-        jobs[f'{name}, C', 'particles'] = timing.Job(lambda: timing.stepping(*given, every=1)[1])
-    return jobs
+        poses = np.asarray(run.rigid_pose, np.float64)[:FRAMES]
+        forms['C'] = functools.partial(timing.stepping, live, poses, run.step_context), 1
+    return {
+        (f'{name}, {where}', what): timing.Job(functools.partial(call, what == 'particles'), count)
+        for where, (call, count) in forms.items()
+        for what in ('load', 'particles')
+    }
 
 
 def measured(data_path: str, field: str, models: dict[str, str], protocol: dict) -> list[dict]:
@@ -200,11 +191,8 @@ def table(path: str) -> str:
 
 def picked(path: str, *budgets: str) -> str:
     """The method with the smallest mean error of those whose frame takes at most so many ms, for
-    the force alone and for soil with all particles; from the JSON.
-
-    Raises:
-      ValueError: a budget that is no number.
-    """
+    the force alone and for soil with all particles; from the JSON. ValueError: a budget that is no
+    number."""
     rows, lines = files.read_json(path)['rows'], []
     for budget in budgets:
         line: list = [float(budget)]
@@ -237,7 +225,7 @@ def break_even(path: str) -> str:
 
 def draw(path: str, protocol: dict, picture: str) -> None:
     """Soil against the time of a frame with all its particles, force against that of its force."""
-    from matplotlib import figure
+    from matplotlib import figure, lines
 
     found = files.read_json(path)
     drawn = figure.Figure(figsize=(11, 5.2), layout='constrained')
@@ -269,14 +257,11 @@ def draw(path: str, protocol: dict, picture: str) -> None:
             ha='right', va='center', color='0.4', fontsize='small',
         )  # fmt: skip
         of = 'with all particles' if clock == 'particles_ms' else 'force only'
-        axes.set(xscale='log', xlabel=f'ms a frame, {of}, one thread')
-        axes.set_ylabel(tables.TITLES[error])
+        axes.set(xscale='log', xlabel=f'ms a frame, {of}, one thread', ylabel=tables.TITLES[error])
         axes.set_ylim(bottom=0.0)
         axes.grid(alpha=0.3)
-    from matplotlib.lines import Line2D
-
-    shown = [Line2D([], [], marker='o', ls='', color=f'C{i}') for i in range(len(methods))]
-    shown += [Line2D([], [], marker=m, ls='', color='0.4') for m in 'os']
+    shown = [lines.Line2D([], [], marker='o', ls='', color=f'C{i}') for i in range(len(methods))]
+    shown += [lines.Line2D([], [], marker=m, ls='', color='0.4') for m in 'os']
     labels = [*methods, 'in C, step by step', 'in Python']
     drawn.legend(shown, labels, loc='outside lower center', ncols=6, fontsize='small')
     drawn.suptitle('Test runs: mean errors (range of trainings); numbers: members of a soil field')

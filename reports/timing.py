@@ -12,38 +12,26 @@ WARM_UP = 2  # calls before
 
 
 class Timing(NamedTuple):
-    """Samples of one job, ms per step, in the order of measurement.
+    """Samples of one job, ms per step, in the order of measurement."""
 
-    Attributes:
-      clock: by the clock on the wall.
-      processor: by processor time of all threads, where it was taken: on a busy machine it says
-        more.
-    """
-
-    clock: np.ndarray
+    clock: np.ndarray  # by the clock on the wall
+    # By processor time of all threads, where it was taken: on a busy machine it says more.
     processor: np.ndarray
 
 
 @dataclasses.dataclass(frozen=True)
 class Job:
-    """Something to be timed.
+    """Something to be timed."""
 
-    Attributes:
-      call: does it once, results materialised. If it returns numbers, these are the seconds: one
-        call may time only a part of what it does, or many steps each by itself.
-      steps: what the time of a call is divided by.
-    """
-
+    # Does it once, results materialised. If it returns numbers, these are the seconds: one call may
+    # time only a part of what it does, or many steps each by itself.
     call: Callable[[], object]
-    steps: int = 1
+    steps: int = 1  # what the time of a call is divided by
 
 
 def in_turns(jobs: Mapping[Any, Job], rounds: int) -> dict[Any, Timing]:
-    """Times all jobs, one call of each in every round.
-
-    Raises:
-      ValueError: a job took, or returned, a time that is not above 0.
-    """
+    """Times all jobs, one call of each in every round; ValueError: a job took, or returned, a time
+    that is not above 0."""
     seconds: dict[Any, list] = {name: [] for name in jobs}
     processor: dict[Any, list] = {name: [] for name in jobs}
     for turn in tqdm.tqdm(range(-WARM_UP, rounds), 'in turns', unit='round', disable=None):
@@ -66,29 +54,19 @@ def in_turns(jobs: Mapping[Any, Job], rounds: int) -> dict[Any, Timing]:
     return found
 
 
-def stepping(live, poses: np.ndarray, contexts=None, every: int | None = None):
-    """Seconds of every step of a model along a path, and of those steps that give particles.
-
-    Args:
-      live: `stepper()` of a model.
-      poses: [T, 7], from where it starts.
-      contexts: [T, C], or None.
-      every: steps after which the particles are asked for, too; None: never.
-
-    Returns:
-      lists: a step and its force; a step, its force and all particles.
-    """
+def stepping(live, poses: np.ndarray, contexts=None, has_particles: bool = False) -> list[float]:
+    """Seconds of every step of a `stepper()` along poses [T, 7], of which the first one is where it
+    starts, under contexts [T, C] if any: of a step and its force, or of all particles, too."""
 
     def context(frame):
         return {} if contexts is None else {'context': contexts[frame]}
 
     live.start(poses[0], velocity=(poses[1] - poses[0])[:3] / live.dt, **context(0))
-    steps, wholes = [], []
+    seconds = []
     for frame, pose in enumerate(poses[1:], 1):
         start = time.perf_counter()
         now = live.step(pose, **context(frame))
-        steps.append(time.perf_counter() - start)
-        if every and frame % every == 0:
+        if has_particles:
             now.particles()
-            wholes.append(time.perf_counter() - start)
-    return steps, wholes
+        seconds.append(time.perf_counter() - start)
+    return seconds

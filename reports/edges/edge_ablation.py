@@ -32,20 +32,15 @@ NO_LIST: dict[str, dict] = {
 
 
 def masks_of(velocities, keep: int, seed: int, nri_rows=None) -> dict:
-    """The mode block of every variant that is a list.
+    """The mode block of every variant that is a list: variant -> mask, bool [r, r]; scores, float
+    [r, r] in [0, 1], what it was chosen by or the mask itself; method, of `edge_lists.METHODS`.
 
     Args:
       velocities: float [S, T, r, D] of the modes on the training runs.
       keep: number of edges of the lists that have a number.
       seed: of the simulator; NRI's list is that of its own training from the same seed.
-      nri_rows: `seeds` of the JSON of `nri_stability`, or None.
-
-    Returns:
-      variant -> (mask, scores, method): bool [r, r]; float [r, r] in [0, 1], what it was chosen by
-      or the mask itself; of `edge_lists.METHODS`.
-
-    Raises:
-      ValueError: if NRI's nodes are not the modes, or it has no training from that seed.
+      nri_rows: `seeds` of the JSON of `nri_stability`, or None; ValueError if its nodes are not the
+        modes, or it has no training from that seed.
     """
     r = velocities.shape[2]
     nobody, own = np.zeros((r, r), bool), np.eye(r, dtype=bool)
@@ -78,11 +73,8 @@ def masks_of(velocities, keep: int, seed: int, nri_rows=None) -> dict:
 
 
 def write_lists(folder: str, data_path: str, modes: int, keep: int, seeds: int, nri_rows) -> list:
-    """Writes `<variant>_<seed>.json` of all variants that are lists; returns their names.
-
-    Raises:
-      ValueError: see `masks_of`.
-    """
+    """Writes `<variant>_<seed>.json` of all variants that are lists; returns their names, raises as
+    `masks_of`."""
     metadata = dataset.read_metadata(data_path)
     groups = reading_utils.read_groups(data_path, 'train', metadata, modes=modes)
     r = groups[0].position.shape[2] - groups[0].n_rigid
@@ -102,11 +94,8 @@ def write_lists(folder: str, data_path: str, modes: int, keep: int, seeds: int, 
 
 
 def nri_rows_of(path: str | None, data_path: str):
-    """The seeds of `nri_stability` on the same data, None without a path.
-
-    Raises:
-      ValueError: the JSON of another report, or of another dataset.
-    """
+    """The seeds of `nri_stability` on the same data, None without a path; ValueError for the JSON
+    of another report, or of another dataset."""
     if not path:
         return None
     values = files.read_json(path)

@@ -43,10 +43,9 @@ BUDGETS = {
     ('springs', 5): (50000, {'epochs': 180, 'decay_start': 100, 'decay_epochs': 10}),
     ('charged', 5): (50000, {'epochs': 40, 'decay_start': 26, 'decay_epochs': 4}),
     ('springs', 10): (
-        50000,
-        {'symmetric': True, 'epochs': 84, 'decay_start': 50, 'decay_epochs': 6},
+        50000, {'symmetric': True, 'epochs': 84, 'decay_start': 50, 'decay_epochs': 6},
     ),
-}
+}  # fmt: skip
 CURVE = ('epoch', 'seconds', 'train_loss', 'loss', 'accuracy')  # of a history of training
 OTHERS = 20000, {'epochs': 60, 'decay_start': 42, 'decay_epochs': 3}
 
@@ -59,19 +58,9 @@ def settings_of(system, n_objects):
 
 
 def run(system, n_objects, work_path, counts, config, model_path=None):
-    """Simulates, trains or resumes, and judges; or judges a model that has been trained.
-
-    Args:
-      system, n_objects: what to simulate.
-      work_path: folder for data and model.
-      counts: {split: runs}.
-      config: `NriConfig`.
-      model_path: of the model that has been trained: its folder, with history.json and, in
-        metrics.json, what it was `trained_on`; or None.
-
-    Returns:
-      what the JSON file holds.
-    """
+    """Simulates `counts` (split -> runs), trains or resumes, and judges; or judges the model of a
+    folder, with history.json and, in metrics.json, what it was `trained_on`. Returns what the JSON
+    file holds."""
     from nri import data, losses, model, training
 
     name = f'{system}{n_objects}'
@@ -113,16 +102,14 @@ def table(*paths: str) -> str:
     """Edge accuracy of stored results beside Kipf's."""
     header = ('system', 'objects', 'mutual forces', 'turned', 'width', 'epochs', 'minutes', 'on',
               'edges right', 'Kipf et al.')  # fmt: skip
-    rows = []
-    for path in paths:
-        r = files.read_json(path)
-        rows.append(
-            (r['system'], r['n_objects'],
-             *('yes' if r['settings'].get(k) else 'no' for k in ('symmetric', 'isotropic')),
-             r['settings']['hidden'], r['settings']['epochs'], round(r['seconds'] / 60),
-             r.get('trained_on', 'one core'), f'{r["test_accuracy"]:.2%}',
-             f'{r["published_accuracy"]:.1%}')
-        )  # fmt: skip
+    rows = [
+        (r['system'], r['n_objects'],
+         *('yes' if r['settings'].get(k) else 'no' for k in ('symmetric', 'isotropic')),
+         r['settings']['hidden'], r['settings']['epochs'], round(r['seconds'] / 60),
+         r.get('trained_on', 'one core'), f'{r["test_accuracy"]:.2%}',
+         f'{r["published_accuracy"]:.1%}')
+        for r in map(files.read_json, paths)
+    ]  # fmt: skip
     return markdown.table(header, rows)
 
 
@@ -132,16 +119,12 @@ def draw(result, path):
     axes = figure.subplots()
     minutes = [row['seconds'] / 60 for row in result['curve']]
     axes.semilogy(minutes, [1 - row['accuracy'] for row in result['curve']], label='validation')
-    axes.axhline(
-        1 - result['test_accuracy'], color='C1', label=f'test: {result["test_accuracy"]:.2%} right'
-    )
-    published = result['published_accuracy']
+    right, published = result['test_accuracy'], result['published_accuracy']
+    axes.axhline(1 - right, color='C1', label=f'test: {right:.2%} right')
     if published:
-        axes.axhline(
-            1 - published, color='0.5', linestyle='--', label=f'Kipf et al. 2018: {published:.1%}'
-        )
-    axes.set_xlabel('minutes of training')
-    axes.set_ylabel('share of wrong edges')
+        label = f'Kipf et al. 2018: {published:.1%}'
+        axes.axhline(1 - published, color='0.5', linestyle='--', label=label)
+    axes.set(xlabel='minutes of training', ylabel='share of wrong edges')
     axes.set_title(f'{result["system"]}, {result["n_objects"]} objects, without labels')
     axes.legend()
     files.write_atomically(path, lambda temporary: figure.savefig(temporary, format='png', dpi=120))

@@ -35,17 +35,9 @@ SETTINGS: dict = {'epochs': 8, 'hidden': 32, 'stride': 2, 'batch_size': 16, 'lea
 
 
 def train_seed(data_path: str, model_path: str, config: NriConfig) -> dict:
-    """Trains NRI from one seed, or finishes it, and returns what it found.
-
-    Args:
-      data_path: dataset folder.
-      model_path: folder of this seed's model.
-      config: the settings, with the seed.
-
-    Returns:
-      the row of the seed: P(edge) [V, V] ([receiver][sender], null on the diagonal), spread over
-      the runs, edges above the threshold, test loss and status, loss on valid after each epoch.
-    """
+    """Trains NRI from one seed, or finishes it, and returns the row of the seed: P(edge) [V, V]
+    ([receiver][sender], null on the diagonal), spread over the runs, edges above the threshold,
+    test loss and status, loss on valid after each epoch."""
     from nri import training
     from nri.model import load_model
 
@@ -81,17 +73,10 @@ def matrices(rows: list[dict]) -> np.ndarray:
 
 
 def compare(rows: list[dict]) -> dict:
-    """Agreement of the seeds, each beside what unrelated graphs of the same density would have.
-
-    Args:
-      rows: of `train_seed`.
-
-    Returns:
-      dict: mean and range over pairs of seeds of `jaccard` (edges in both over edges in either),
-      of `agreement` (share of node pairs on which both say the same) and of `correlation` of the
-      probabilities; `jaccard_by_chance`, `agreement_by_chance`; `in_all_seeds` and `in_any_seed`,
-      numbers of edges.
-    """
+    """Agreement of the seeds (rows of `train_seed`), each beside what unrelated graphs of the same
+    density would have (`jaccard_by_chance`, `agreement_by_chance`): mean and range over pairs of
+    seeds of `jaccard` (edges in both over edges in either), of `agreement` (share of node pairs on
+    which both say the same) and of `correlation` of the probabilities; numbers of edges."""
     p = matrices(rows)[:, ~np.eye(len(rows[0]['node_names']), dtype=bool)]
     found = p > THRESHOLD
     by_chance: list = []

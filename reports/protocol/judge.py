@@ -37,25 +37,19 @@ QUANTITIES = (
 # Of the cases of the ladder whose solutions tell the truth's own errors: how their names begin.
 _LADDERS = {'blade': 'excavation', 'wheel': 'wheel'}
 LADDER = os.path.join(record.ROOT, 'mpm', 'verification', 'ladder.json')
-# What a rollout that is flagged is compared in, see `separation`.
-_SHARE = 'flagged_frames', 'error_flagged', 'error_inside'
 
 
 def folders_of(given: list[str]) -> dict[str, list[str]]:
-    """Method -> folders of its models, one a training, of NAME=FOLDER[,FOLDER...].
-
-    Raises:
-      ValueError: another form, or a name that is given twice.
-    """
-    given = [item.rstrip(',') for item in given]
-    named = named_paths('model', given, 'FOLDER[,FOLDER...]')
+    """Method -> folders of its models, one a training, of NAME=FOLDER[,FOLDER...]; ValueError for
+    another form, or a name that is given twice."""
+    named = named_paths('model', [item.rstrip(',') for item in given], 'FOLDER[,FOLDER...]')
     return {name: [os.path.abspath(p) for p in paths.split(',')] for name, paths in named.items()}
 
 
 def judge(
     data_path: str, methods: dict[str, list[str]], work_path: str, num_processes: int = 1
 ) -> dict:
-    """The document of a scene.
+    """The document of a scene; raises as `make_all`.
 
     Args:
       data_path: dataset folders, separated by commas: all methods know the first; the others are
@@ -63,9 +57,6 @@ def judge(
       methods: of `folders_of`.
       work_path: folder of rollouts and of the fitted ridge; a second call finds them there.
       num_processes: models that are rolled out at a time.
-
-    Raises:
-      ValueError: a model failed, the others are done.
     """
     from learning_to_simulate.soil_field import evaluation
     from learning_to_simulate.soil_field import runs as runs_lib
@@ -114,11 +105,7 @@ def judge(
 
 
 def make_all(jobs: list[tuple], num_processes: int) -> None:
-    """Does jobs of `make`, so many at a time.
-
-    Raises:
-      ValueError: some failed; the others are done.
-    """
+    """Does jobs of `make`, so many at a time; ValueError: some failed, the others are done."""
     with workers.start('', num_processes) as crew:
         failed = [
             f'{jobs[outcome.index][1]}: {outcome.error}'
@@ -129,12 +116,9 @@ def make_all(jobs: list[tuple], num_processes: int) -> None:
 
 
 def make(job: tuple) -> None:
-    """Trains a model and rolls it out, or finds that done: one task of a worker, on one thread.
-
-    Args:
-      job: (dataset folder, model folder, settings of its training or None where it is trained,
-        folder of the rollouts or None for none).
-    """
+    """Trains a model and rolls it out, or finds that done: one task of a worker, on one thread. The
+    job: dataset folder, model folder, settings of its training or None where it is trained, folder
+    of the rollouts or None for none."""
     import_tensorflow(1)
     data_path, model_path, config, folder = job
     if config is not None:
@@ -145,11 +129,8 @@ def make(job: tuple) -> None:
 
 def roll_out(data_path: str, model_path: str, folder: str) -> str:
     """Rolls a model out over the test split, as `lts evaluate` does; returns the folder of its
-    files.
-
-    The folder is named by what model and runs are, so a second call finds it done; metrics.json is
-    the last file to be written.
-    """
+    files. It is named by what model and runs are, so a second call finds it done; metrics.json is
+    the last file to be written."""
     digests = [checkpoints.folder_digest(model_path), digest(data_path, SPLIT)]
     name = '_'.join([os.path.basename(model_path), *(d[:12] for d in digests)])
     output = os.path.join(folder, name, SPLIT)
@@ -213,16 +194,12 @@ def _columns(rows: list[dict]) -> dict[str, list]:
 
 
 def separation(rollouts) -> dict[str, float]:
-    """Whether the status of a soil field tells good frames from bad ones.
+    """Whether the status of a soil field tells good frames from bad ones, of rollouts: the
+    predicted and the true force [T, 3], and which frames [T] are flagged.
 
-    Args:
-      rollouts: of each the predicted and the true force [T, 3], and which frames [T] are flagged.
-
-    Returns:
-      `flagged_frames`, the share of frames that it flags; `error_flagged` and `error_inside`, root
-      of the sum of squared errors of the force over that of the force itself, of frames that are
-      flagged and of those that are not; without where there are none.
-    """
+    Returns `flagged_frames`, the share of frames that it flags; `error_flagged` and `error_inside`,
+    root of the sum of squared errors of the force over that of the force itself, of frames that are
+    flagged and of those that are not; without where there are none."""
     squares = np.zeros((2, 3))  # (inside, flagged) by (error, force, frames)
     for force, true, flagged in rollouts:
         if not np.isfinite(force).all():
@@ -232,11 +209,11 @@ def separation(rollouts) -> dict[str, float]:
         for i, mask in enumerate((~flagged, flagged)):
             parts = (force - true)[mask] / size, true[mask] / size
             squares[i] += [np.sum(parts[0] ** 2), np.sum(parts[1] ** 2), mask.sum()]
-    values = squares[1, 2] / max(squares[:, 2].sum(), 1), *np.sqrt(
-        np.divide(squares[::-1, 0], squares[::-1, 1], out=np.full(2, np.nan),
-                  where=squares[::-1, 1] > 0)
-    )  # fmt: skip
-    return {k: float(f'{v:.4g}') for k, v in zip(_SHARE, values, strict=True) if np.isfinite(v)}
+    found = {'flagged_frames': squares[1, 2] / max(squares[:, 2].sum(), 1)}
+    for name, (error, force, _) in zip(('error_inside', 'error_flagged'), squares, strict=True):
+        if force:
+            found[name] = np.sqrt(error / force)
+    return {name: float(f'{value:.4g}') for name, value in found.items()}
 
 
 def _saved(folder):
@@ -292,22 +269,15 @@ def figures(seeds, key: str, places: list[int]) -> dict:
     return found
 
 
-def truth_errors(tool: str, path: str = LADDER) -> dict:
-    """How far the ground truth itself is from finer solutions, over the cases of a tool.
-
-    Args:
-      tool: 'blade' or 'wheel'.
-      path: of the ladder.
-
-    Returns:
-      `cases`; against cells that are a third as long across: `surface_mm` of the whole bed at the
-      end and `force_relative_l2` of means over five frames; against the limit of fine cells:
-      `drawbar_relative_l2`, of the mean force along the way (upwards where that matters). Each a
-      list with a number a case.
-    """
+def truth_errors(tool: str) -> dict:
+    """How far the ground truth itself is from finer solutions, over the `cases` of a tool: against
+    cells that are a third as long across `surface_mm` of the whole bed at the end and
+    `force_relative_l2` of means over five frames; against the limit of fine cells
+    `drawbar_relative_l2`, of the mean force along the way (upwards where that matters). Each a list
+    with a number a case."""
     names = 'cases', 'surface_mm', 'force_relative_l2', 'drawbar_relative_l2'
     found: dict = {name: [] for name in names}
-    for name, runs in files.read_json(path)['cases'].items():
+    for name, runs in files.read_json(LADDER)['cases'].items():
         if not name.startswith(_LADDERS[tool]) or 'cubic' not in runs:
             continue
         compared = ladder.compared(runs['base'], runs['cubic'])

@@ -36,17 +36,12 @@ def define_flags() -> None:
 
 
 def main(values) -> None:
-    methods = judge.folders_of(values.model)
-    write(methods, values)
+    write(judge.folders_of(values.model), values)
 
 
 def write(methods: dict[str, list[str]], values) -> None:
-    """Judges methods (of `judge.folders_of`), writes the document and prints its tables.
-
-    Args:
-      methods: name -> folders of its models.
-      values: of the flags, all but `model`.
-    """
+    """Judges methods (of `judge.folders_of`), writes the document and prints its tables, by the
+    values of all flags but `model`."""
     path = values.output_path
     document = judge.judge(values.data_path, methods, values.work_path, values.num_processes)
     # On one line: every run of every training is in it.

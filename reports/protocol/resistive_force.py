@@ -44,16 +44,9 @@ def scale(density: float, gravity: float, friction: float) -> float:
 
 
 def stress(normal, motion, friction: float) -> np.ndarray:
-    """Stress over xi z.
-
-    Args:
-      normal: [..., 2] along and up, of length 1, out of the tool.
-      motion: [..., 2] likewise, where the surface goes.
-      friction: between tool and soil.
-
-    Returns:
-      [..., 2] on the tool; 0 where a surface goes away from the soil.
-    """
+    """Stress on the tool over xi z, [..., 2] along and up; 0 where a surface goes away from the
+    soil. `normal` points out of the tool, `motion` where the surface goes, both [..., 2] of length
+    1; `friction` is that between tool and soil."""
     leads = (normal * motion).sum(axis=-1) > 0
     onward = np.where(motion[..., 0] < 0, -1.0, 1.0)  # the axis along that the angles count from
     below = np.where(normal[..., 1] > 0, -1.0, 1.0)  # of both sides of a plate the lower one counts
@@ -94,10 +87,8 @@ def outline(tool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def loads(run) -> tuple[np.ndarray, np.ndarray]:
-    """Force [T, 3] along, up, across (N) and torque [T, 3] in the world (N m) of a `runs.Run`.
-
-    A tool that halts feels what it felt last.
-    """
+    """Force [T, 3] along, up, across (N) and torque [T, 3] in the world (N m) of a `runs.Run`. A
+    tool that halts feels what it felt last."""
     whole = samples.episode_of(run)
     tool, soil, place = run.tool, run.soil, whole.passage.place
     path = place.local(run.pose[:, :3])[:, :2]

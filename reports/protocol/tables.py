@@ -24,14 +24,13 @@ TITLES = {
 MEDIANS = 'drawbar_relative_l2', 'pitch_relative_l2'
 # What decides; here tables of methods also state the range of trainings.
 BOTH = 'soil_mm', 'force_relative_l2'
-OF_SHIPPED = *BOTH, 'drawbar_relative_l2'
+IN_SHORT = *BOTH, 'drawbar_relative_l2'
 COLUMNS = {
     'blade': ('soil_mm', 'near_mm', 'front_mm', 'heap_error_litre', 'force_relative_l2',
               'drawbar_relative_l2', 'force_rmse'),
     'wheel': ('soil_mm', 'near_mm', 'height_mm', 'force_relative_l2', 'drawbar_relative_l2',
               'pitch_relative_l2', 'drawbar_rmse'),
 }  # fmt: skip
-OF_KINDS = 'soil_mm', 'force_relative_l2', 'drawbar_relative_l2'
 
 
 def methods(path: str) -> str:
@@ -106,14 +105,12 @@ def new_tools(*paths: str) -> str:
 
 def kinds(path: str, name: str = 'soil field') -> str:
     """Means of one method by kind of run."""
-    document = judge.read(path)
-    columns = [key for key in COLUMNS[document['scene']] if key in OF_KINDS]
     rows = []
-    for kind, of in document['summary'].items():
+    for kind, of in judge.read(path)['summary'].items():
         if found := of.get(name):
             runs = max(figure['runs'] for figure in found.values())
-            rows.append([kind, runs, *(_cell(found.get(key), key, False) for key in columns)])
-    return markdown.table(['runs', 'count', *(TITLES[key] for key in columns)], rows)
+            rows.append([kind, runs, *(_cell(found.get(key), key, False) for key in IN_SHORT)])
+    return markdown.table(['runs', 'count', *(TITLES[key] for key in IN_SHORT)], rows)
 
 
 def bounds(*paths: str) -> str:
@@ -168,10 +165,10 @@ def shipped(*paths: str) -> str:
         figures = document['summary']['all']
 
         def cells(name, figures=figures):
-            return [_cell(figures[name].get(q), q, True) for q in OF_SHIPPED]
+            return [_cell(figures[name].get(q), q, True) for q in IN_SHORT]
 
         for name, (folder, purpose) in SHIPPED.items():
             if name in figures:
                 rows.append((f'`{scene}/{folder}`', purpose, *cells(name)))
         rows.append((f'*{scene}: persistence*', 'soil and force stay', *cells('persistence')))
-    return markdown.table(('model', 'for', *(TITLES[q] for q in OF_SHIPPED)), rows)
+    return markdown.table(('model', 'for', *(TITLES[q] for q in IN_SHORT)), rows)

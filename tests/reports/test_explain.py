@@ -21,29 +21,32 @@ def test_products_count_what_depends_on_the_arguments():
     np.testing.assert_allclose(got * 1e6, 2 * (3 * 4 * 6) + 2 * (6 * 3 * 2))
 
 
-def test_plain_frame_equals_the_count_by_the_layers(tmp_path):
-    """Four rigid particles and three modes, L = 16, two hidden layers, one step."""
-    model, (group, *_), _ = models.make(tmp_path)
+def made_and_counted(folder, **settings):
+    """A small model, and the MFLOP of its plain frame."""
+    model, (group, *_), _ = models.make(folder, **settings)
     layout = model.layout(group.n_rigid)
     inputs = rollout.rollout_inputs(group.select(0), layout, model.simulator.scene)
+    return model, explanation.plain_frame(model.simulator, layout, *inputs[:3])
+
+
+def test_plain_frame_equals_the_count_by_the_layers(tmp_path):
+    """Four rigid particles and three modes, L = 16, two hidden layers, one step."""
+    model, got = made_and_counted(tmp_path)
     v, e, width = 7, 4 * 3 + 5, 16
     features = model.simulator.network.weights().node_encoder.layers[0][0].shape[0]
     node = features + 2 * width + 2 * width  # encoder; ends of the edges
     node += 4 * width + (2 * width + 6)  # update, decoder
     edge = 4 + 2 * width + 3 * width  # encoder; messages, first layer of the edge alone
     expected = 2 * width * (v * node + e * edge) + 2 * v * e * width  # and their sums
-    got = explanation.plain_frame(model.simulator, layout, *inputs[:3])
     np.testing.assert_allclose(got * 1e6, expected)
 
 
 def test_a_frame_costs_the_same_where_its_context_changes(tmp_path):
-    counts = []
-    for context in (True, 'changing'):
-        model, (group, *_), _ = models.make(tmp_path / str(context), context=context)
-        layout = model.layout(group.n_rigid)
-        inputs = rollout.rollout_inputs(group.select(0), layout, model.simulator.scene)
-        counts.append(explanation.plain_frame(model.simulator, layout, *inputs[:3]))
-    assert counts[0] == counts[1] > 0
+    constant, changing = (
+        made_and_counted(tmp_path / str(context), context=context)[1]
+        for context in (True, 'changing')
+    )
+    assert constant == changing > 0
 
 
 @pytest.fixture(scope='module')

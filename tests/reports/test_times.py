@@ -37,11 +37,8 @@ def test_the_path_is_a_driven_one_on_a_flat_bed(recorded):
 def test_table_and_picture_join_errors_and_times(recorded, tmp_path, monkeypatch):
     protocol = tmp_path / 'protocol.json'
     protocol.write_text(json.dumps(document()))
-    names = (
-        'soil field, 1 of 2 members, C',
-        'soil field, 2 of 2 members, C',
-        'mlp_driven, TensorFlow',
-    )
+    names = [f'soil field, {count} of 2 members, C' for count in (1, 2)]
+    names += ['mlp_driven, TensorFlow']
     jobs = {(name, what): name for name in names for what in ('load', 'particles')}
     monkeypatch.setattr(
         times, 'field_jobs', lambda *_: (jobs, {names[0]: dict.fromkeys(times.QUANTITIES, 7.0)})

@@ -63,9 +63,9 @@ def test_every_pose_after_the_first_is_a_step_that_is_given_its_context(clock):
     poses = np.zeros((5, 7))
     poses[:, 0], poses[:, 1] = 2.0, np.arange(5)
     live = Live(clock)
-    assert timing.stepping(live, poses) == ([1.0] * 4, [])
+    assert timing.stepping(live, poses) == [1.0] * 4
     # It starts with the speed of the path, 1 m in 0.5 s.
     assert live.log == [('start', 2.0, [0.0, 2.0, 0.0], {})] + 4 * [('step', 2.0, {})]
     live = Live(clock)
-    assert timing.stepping(live, poses, np.arange(5.0), every=2) == ([1.0] * 4, [3.0] * 2)
+    assert timing.stepping(live, poses, np.arange(5.0), has_particles=True) == [3.0] * 4
     assert [entry[-1]['context'] for entry in live.log] == [0.0, 1.0, 2.0, 3.0, 4.0]
