@@ -11,17 +11,12 @@ HELP = ('-h', '--help', '-help', '--helpshort', '--helpfull', '--helpxml')
 
 
 def start(run: Callable, n_argument: int = 0, usage: str = '') -> None:
-    """Runs a command as the main program; its flags are defined already.
+    """Runs a command as the main program; its flags are defined already. `run` is called with their
+    values and, if it takes up to `n_argument` arguments that are no flags, a list of these; what it
+    returns is the exit code. `usage` says how, where it does nothing without such an argument.
 
     A question for help ends with exit code 0. `ValueError`, `OSError`, a package that is not
-    installed and an argument that is no flag end in one line that begins with `error:`, with 1.
-
-    Args:
-        run: called with the values of the flags, and, where it takes arguments, a list of these;
-            what it returns is the exit code.
-        n_argument: how many arguments that are no flags it takes at most.
-        usage: how it is called, where it does nothing without such an argument.
-    """
+    installed and an argument that is no flag end in one line that begins with `error:`, with 1."""
 
     def main(argv):
         if len(argv) > n_argument + 1:

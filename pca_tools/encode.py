@@ -36,10 +36,8 @@ class EncodedRun:
     parameters: dict[str, Any]  # all parameters of the case
     details: dict[str, float]  # see `projection_details`
     floors: dict[int, float]  # number of modes -> mean squared error in m^2 that they leave
-    # Packed particles and their number of frames, see `pca_tools.particles`
-    sample: tuple[bytes, int]
-    # The same of the map of heights, see `pca_tools.heights`, or None
-    heights: tuple[bytes, int] | None = None
+    sample: tuple[bytes, int]  # packed particles, number of frames: `pca_tools.particles`
+    heights: tuple[bytes, int] | None = None  # the same of the map: `pca_tools.heights`
 
 
 Parts = Mapping[str, Sequence[EncodedRun]]  # by split
@@ -137,11 +135,9 @@ def _trajectory(run: RawRun, scores: np.ndarray, scene: dict[str, Any]) -> datas
 
 
 def load(data_path: str) -> Contents:
-    """Reads a dataset with a particle sample: its runs as they were when it was written.
-
-    The truncation error by number of modes is kept for a split, not for a run: each has its mean.
-    FileNotFoundError, ValueError: there is none, or its files do not fit each other.
-    """
+    """Reads a dataset with a particle sample: its runs as they were when it was written. The
+    truncation error by number of modes is kept for a split, not for a run: each has its mean.
+    FileNotFoundError, ValueError: there is none, or its files do not fit each other."""
     metadata, space = load_space(data_path)
     listed = files.check_manifest(data_path, ()) or {}
     parts, grids = {}, {}

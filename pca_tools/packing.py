@@ -128,13 +128,11 @@ def _refuse_huge(n_frames: int, values: int) -> None:
 
 class PackedRuns(Sequence):
     """The series of a split, unpacked one run at a time: `runs[i]` is float64 [F, ...] in metres,
-    frame `f * frame_stride` of record i, to within half of `resolution`.
+    frame `f * frame_stride` of record i, to within half of `resolution`."""
 
-    Attributes:
-        rest: float64 [a, b], metres, what the steps are counted from.
-        frame_stride: frames of the record from one kept frame to the next.
-        resolution: metres.
-    """
+    rest: np.ndarray  # float64 [a, b], metres, what the steps are counted from
+    frame_stride: int  # frames of the record from one kept frame to the next
+    resolution: float  # metres
 
     # Of the files, of one of them in messages, metres of a step of ours, and the arrays that it has
     # beside the common ones.

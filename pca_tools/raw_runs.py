@@ -53,12 +53,10 @@ class RawRun(FrameSeries):
 
     case: int | str  # its case id
     positions: np.ndarray  # float32 [T, N, 3] soil particles, metres
-    # float32 [T, R, 3] points fixed to the rigid body, metres; R = 0 without
-    rigid_positions: np.ndarray
+    rigid_positions: np.ndarray  # float32 [T, R, 3] points fixed to the body, metres; R may be 0
     context: np.ndarray  # float64 [C] global context values
     parameters: dict[str, Any]  # all parameters of the case and of the solver
-    # float32 [T, nx, nz] of the soil over the bin, metres, or None
-    heights: np.ndarray | None = None
+    heights: np.ndarray | None = None  # float32 [T, nx, nz] of the soil over the bin, metres
 
     @property
     def grid(self) -> Grid | None:

@@ -63,11 +63,9 @@ def subset(
 
 
 def deal(data_path: str, output_path: str, places: Mapping[str, Sequence[int]]) -> dict[str, Any]:
-    """Writes a dataset of the same runs in other splits, for cross-validation; raises as `subset`.
-
-    `places` is split -> its runs, counted through train, valid and test of the old dataset, whose
-    subspace and statistics stay. Returns the metadata.
-    """
+    """Writes a dataset of the same runs in other splits, for cross-validation, and returns its
+    metadata; raises as `subset`. `places` is split -> its runs, counted through train, valid and
+    test of the old dataset, whose subspace and statistics stay."""
     encode.refuse_occupied_output(output_path, False)
     whole = encode.load(data_path)
     runs = [run for split in SPLITS for run in whole.parts.get(split, [])]

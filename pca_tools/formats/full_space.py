@@ -37,18 +37,15 @@ class FullSpaceData:
     """Trajectories of one folder, opened one at a time; what nothing says is None."""
 
     source: str  # what it is and where, for messages
-    # Gives an iterator over the runs; may be called again
-    runs: Callable[[], Iterator[FullSpaceRun]]
+    runs: Callable[[], Iterator[FullSpaceRun]]  # may be called again
     dt: float | None = None  # seconds per stored frame
     bounds: list[list[float]] | None = None  # [[low, high]] * D
     up_axis: int | None = None  # 0, 1 or 2
-    # Names of the context values, if any
     context_names: list[str] = dataclasses.field(default_factory=list)
     rigid_motion: str | None = None  # of the body, where the data say more than its type does
     radius: float | None = None  # connectivity radius of an export
     name: str = 'soil'  # of the scene
-    # Sentences for the person who imports
-    notes: list[str] = dataclasses.field(default_factory=list)
+    notes: list[str] = dataclasses.field(default_factory=list)  # for the person who imports
 
 
 class Foreign:
@@ -72,10 +69,8 @@ class Foreign:
         self, title: str, ending: str, read: Callable, dt: float | None, **others
     ) -> FullSpaceData:
         """Returns the data of a folder of `{train,valid,test}.<ending>` beside these metadata.
-
         `read` gives an iterator over (name, arrays of a `FullSpaceRun`) of the runs of a path; `dt`
-        is given by a person, else that of the metadata.
-        """
+        is given by a person, else that of the metadata."""
         folder = os.path.dirname(self.path)
 
         def runs() -> Iterator[FullSpaceRun]:
@@ -175,11 +170,9 @@ def raw_mappings(data: FullSpaceData, body: str | None) -> Iterator[dict[str, An
 
 
 def split_bodies(run: FullSpaceRun, where: str) -> tuple[np.ndarray, np.ndarray]:
-    """Returns soil [T, N, D] and the points of the body [T, R, D] of a run.
-
-    A boundary that never moves is no body where there is a rigid one: the bounds hold the soil.
-    ValueError: no soil, or a rigid body beside a moving boundary.
-    """
+    """Returns soil [T, N, D] and the points of the body [T, R, D] of a run. A boundary that never
+    moves is no body where there is a rigid one: the bounds hold the soil. ValueError: no soil, or a
+    rigid body beside a moving boundary."""
     rigid, kinematic = (run.particle_type == kind for kind in BODY_TYPES)
     soil = run.positions[:, ~(rigid | kinematic)]
     if not soil.shape[1]:
@@ -225,12 +218,10 @@ def length_of(lengths: Iterable[int]) -> int:
 def common_metadata(
     data: FullSpaceData, train: Iterable[FullSpaceRun], more: Sequence[str] = ()
 ) -> dict[str, Any]:
-    """Returns what the metadata of all formats hold, with means and deviations of training runs.
-
-    `vel_mean, vel_std, acc_mean, acc_std` are DeepMind's: per frame, not divided by dt, over all
+    """Returns what the metadata of all formats hold, with means and deviations of training runs:
+    `vel_mean, vel_std, acc_mean, acc_std` are DeepMind's, per frame, not divided by dt, over all
     particles that are not kinematic; `more` may name `rigid_body_force` and `context`, where runs
-    have them. Float64 sums, one run in memory at a time.
-    """
+    have them. Float64 sums, one run in memory at a time."""
     sums: dict[str, np.ndarray] = {}  # name -> rows of count, sum, sum of squares
     for run in train:
         moving = run.positions[:, run.particle_type != KINEMATIC_PARTICLE_ID].astype(np.float64)

@@ -38,8 +38,7 @@ def write_points(
     field_data: Mapping[str, np.ndarray],
 ) -> None:
     """Writes points [P, 3] (m) as `.vtp`, with values [P] or [P, k] of the points and [k] of the
-    whole cloud by name. ValueError: an array of the wrong length, or of a type that VTK does not
-    have."""
+    whole cloud by name. ValueError: an array of the wrong length, or of a type that VTK lacks."""
     points = np.asarray(points)
     if points.ndim != 2 or points.shape[1] != 3:
         raise ValueError(f'{path}: points have shape {points.shape}, [P, 3] was expected')

@@ -6,11 +6,6 @@ Shares no code with the package but the weights.
 import numpy as np
 
 
-def weights_of(module):
-    """{name: float64 array} of a module's variables, names below the module's own."""
-    return {v.name.split(':')[0]: v.numpy().astype(float) for v in module.variables}
-
-
 def elu(x):
     return np.where(x > 0, x, np.expm1(np.minimum(x, 0)))
 
@@ -23,19 +18,16 @@ class Twin:
     """Reads the weights by the end of their names."""
 
     def __init__(self, module):
-        self.w = weights_of(module)
+        self.w = {f'/{v.name.split(":")[0]}': v.numpy().astype(float) for v in module.variables}
 
     def __getitem__(self, name):
-        found = [v for k, v in self.w.items() if ('/' + k).endswith('/' + name)]
+        found = [v for k, v in self.w.items() if k.endswith('/' + name)]
         assert len(found) == 1, (name, sorted(self.w))
         return found[0]
 
-    def has_bias(self, name):
-        return any(('/' + k).endswith(f'/{name}/b') for k in self.w)
-
     def linear(self, name, x):
-        bias = self.has_bias(name)
-        return x @ self[f'{name}/w'] + (self[f'{name}/b'] if bias else 0.0)
+        has_bias = any(k.endswith(f'/{name}/b') for k in self.w)
+        return x @ self[f'{name}/w'] + (self[f'{name}/b'] if has_bias else 0.0)
 
     def norm(self, name, x):
         mean = self[f'{name}/moving_mean/average'].reshape(-1)
@@ -51,9 +43,8 @@ class Twin:
         return self.after_first(f'{name}/after_first', self.linear(f'{name}/linear', x))
 
     def ends(self, name, receiver, sender):
-        return self.linear(f'{name}/of_receiver', receiver) + self.linear(
-            f'{name}/of_sender', sender
-        )
+        of_receiver = self.linear(f'{name}/of_receiver', receiver)
+        return of_receiver + self.linear(f'{name}/of_sender', sender)
 
 
 def pairs_of(n_node):

@@ -1,7 +1,6 @@
 """One loader for our datasets and Kipf's files; foreign files get a clear message."""
 
 import dataclasses
-import pathlib
 
 import numpy as np
 import pytest
@@ -84,35 +83,30 @@ def test_first_modes_and_the_lowest_rigid_particles_of_a_dataset(tmp_path):
     assert run.position[0, :4, 1].max() <= lowest.max()
 
 
-def _overwrite(folder, name, array):
-    np.save(f'{folder}/{name}_train_springs3.npy', array)
-
-
-def _write_text(folder, name, text):
-    pathlib.Path(folder, f'{name}3.npy').write_text(text)
-
-
 LFS_POINTER = 'version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 9\n'
 
 
 @pytest.mark.parametrize(
-    ('damage', 'message'),
+    ('name', 'content', 'message'),
     [
-        (lambda f: _overwrite(f, 'loc', np.zeros((32, 15, 2))), r'has shape \(32, 15, 2\)'),
-        (lambda f: _overwrite(f, 'loc', np.zeros((31, 15, 2, 3))), 'not of the same runs'),
-        (lambda f: _overwrite(f, 'edges', np.zeros((32, 4, 4))), r'\(32, 3, 3\) was expected'),
-        (lambda f: _overwrite(f, 'edges', np.full((32, 3, 3), 7.0)), 'found values from 7 to 7'),
-        (lambda f: _overwrite(f, 'vel', np.full((32, 15, 2, 3), np.nan)), 'holds 2880 NaN'),
-        (lambda f: _overwrite(f, 'vel', np.full((32, 15, 2, 3), 'a')), 'array of numbers'),
-        (lambda f: _overwrite(f, 'vel', np.array([{}], dtype=object)), 'not a plain .npy'),
-        (lambda f: _write_text(f, 'vel_train_springs', 'x'), 'vel_train'),
-        (lambda f: _write_text(f, 'vel_train_springs', LFS_POINTER), 'git-lfs'),
-        (lambda f: _write_text(f, 'loc_train_charged', 'x'), 'one system per folder'),
+        ('loc_train_springs3', np.zeros((32, 15, 2)), r'has shape \(32, 15, 2\)'),
+        ('loc_train_springs3', np.zeros((31, 15, 2, 3)), 'not of the same runs'),
+        ('edges_train_springs3', np.zeros((32, 4, 4)), r'\(32, 3, 3\) was expected'),
+        ('edges_train_springs3', np.full((32, 3, 3), 7.0), 'found values from 7 to 7'),
+        ('vel_train_springs3', np.full((32, 15, 2, 3), np.nan), 'holds 2880 NaN'),
+        ('vel_train_springs3', np.full((32, 15, 2, 3), 'a'), 'array of numbers'),
+        ('vel_train_springs3', np.array([{}], dtype=object), 'not a plain .npy'),
+        ('vel_train_springs3', 'x', 'vel_train'),
+        ('vel_train_springs3', LFS_POINTER, 'git-lfs'),
+        ('loc_train_charged3', 'x', 'one system per folder'),
     ],
 )
-def test_damaged_and_foreign_files_are_named(tmp_path, damage, message):
-    folder = small.write_springs(tmp_path)
-    damage(folder)
+def test_damaged_and_foreign_files_are_named(tmp_path, name, content, message):
+    folder, path = small.write_springs(tmp_path), tmp_path / f'{name}.npy'
+    if isinstance(content, str):
+        path.write_text(content)
+    else:
+        np.save(path, content)
     with pytest.raises(ValueError, match=message) as error:
         data.load(folder, 'train')
     assert str(tmp_path) in str(error.value)
@@ -121,14 +115,13 @@ def test_damaged_and_foreign_files_are_named(tmp_path, damage, message):
 def test_missing_files_and_wrong_names(tmp_path):
     folder = small.write_springs(tmp_path / 'a')
     (tmp_path / 'a' / 'edges_train_springs3.npy').unlink()
-    with pytest.raises(FileNotFoundError, match='edges_train_springs3.npy'):
-        data.load(folder, 'train')
     (tmp_path / 'empty').mkdir()
-    with pytest.raises(FileNotFoundError, match='neither metadata.json'):
-        data.load(str(tmp_path / 'empty'), 'train')
-    with pytest.raises(FileNotFoundError, match='no such folder'):
-        data.load(str(tmp_path / 'none'), 'train')
-    with pytest.raises(ValueError, match="split 'tests'"):
-        data.load(folder, 'tests')
-    with pytest.raises(ValueError, match="nodes 'all'"):
-        data.load(folder, 'valid', 'all')
+    for arguments, error, message in (
+        ((folder, 'train'), FileNotFoundError, 'edges_train_springs3.npy'),
+        ((str(tmp_path / 'empty'), 'train'), FileNotFoundError, 'neither metadata.json'),
+        ((str(tmp_path / 'none'), 'train'), FileNotFoundError, 'no such folder'),
+        ((folder, 'tests'), ValueError, "split 'tests'"),
+        ((folder, 'valid', 'all'), ValueError, "nodes 'all'"),
+    ):
+        with pytest.raises(error, match=message):
+            data.load(*arguments)

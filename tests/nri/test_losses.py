@@ -8,10 +8,9 @@ from scipy import stats
 from nri import config, losses
 
 SEED = tf.constant([3, 7])
-SATURATED = pytest.mark.parametrize('size', [1e3, 1e30])
 
 
-@SATURATED
+@pytest.mark.parametrize('size', [1e3, 1e30])
 def test_saturated_logits_have_an_exact_divergence_a_finite_sample_and_gradients(size):
     logits = tf.Variable([[size, -size], [-size, size]])
     with tf.GradientTape(persistent=True) as tape:
@@ -103,9 +102,3 @@ def test_frequencies_are_the_softmax_and_samples_follow_the_seed():
     np.testing.assert_allclose(chosen, tf.nn.softmax(logits), atol=0.006)
     np.testing.assert_array_equal(sample, again)
     assert (sample != other).any()
-
-
-@pytest.mark.parametrize('value', [0.0, -1.0, 1.0, float('nan'), float('inf')])
-def test_priors_that_cannot_be_are_refused(value):
-    with pytest.raises(ValueError, match='no_edge_prior'):
-        config.log_prior(2, value)

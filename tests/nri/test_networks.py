@@ -21,7 +21,7 @@ def test_pairs_stand_in_kipfs_order(n_node):
     rng = np.random.default_rng(n_node)
     receiver, sender = rng.normal(size=(2, 4, n_node, 3)).astype(np.float32)
     got = networks.pair_sums(tf.constant(receiver), tf.constant(sender)).numpy()
-    order = [(i, j) for i in range(n_node) for j in range(n_node) if i != j]
+    order = numpy_twin.pairs_of(n_node)
     want = np.stack([receiver[:, i] + sender[:, j] for i, j in order], axis=1)
     np.testing.assert_array_equal(got, want)
     receivers, senders = networks.pair_indices(n_node)
@@ -67,11 +67,7 @@ def test_decoder_equals_its_twin(skip_first):
     frame = features(6)[:, :, 0]
     types = np.random.default_rng(1).dirichlet(np.ones(K), (3, V * (V - 1))).astype(np.float32)
     got = unroll(decoder, tf.constant(frame), tf.constant(types), 5).numpy()
-    want = np.stack(
-        [
-            numpy_twin.decode(decoder, f.astype(float), t, 5, int(skip_first))
-            for f, t in zip(frame, types, strict=True)
-        ]
-    )
+    pairs = zip(frame.astype(float), types, strict=True)
+    want = np.stack([numpy_twin.decode(decoder, f, t, 5, int(skip_first)) for f, t in pairs])
     assert got.shape == (3, V, 5, F)
     np.testing.assert_allclose(got, want, atol=2e-5 * np.abs(want).max())

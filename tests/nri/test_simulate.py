@@ -54,9 +54,8 @@ def test_energy_of_springs_does_not_drift_below_the_limit():
     relations = system.relations(g, 20)
     position, velocity = g.normal(size=(2, 20, 5, 2))
     positions, velocities = leapfrog(system, position, velocity, relations, 20000, 10)
-    found = np.stack(
-        [energy(system, positions[:, t], velocities[:, t], relations) for t in range(2000)]
-    )
+    frames = zip(positions.swapaxes(0, 1), velocities.swapaxes(0, 1), strict=True)
+    found = np.stack([energy(system, *frame, relations) for frame in frames])
     # Measured 2.6e-3; promised 1 %.
     assert np.abs(found[1000:].mean(0) / found[:1000].mean(0) - 1).max() <= 0.01
 
@@ -130,10 +129,7 @@ def test_charges_keep_their_energy_through_close_encounters():
         assert (np.abs(after - before) / scale).max() < 0.01
 
 
-SYSTEMS = pytest.mark.parametrize('make', [Springs, Charged])
-
-
-@SYSTEMS
+@pytest.mark.parametrize('make', [Springs, Charged])
 def test_momentum_is_kept_without_walls_and_half_of_all_relations_are(make):
     position, velocity, relations = simulate_particles(make(box_size=1e3), 10, 400, 200, rng(2))
     assert position.shape == velocity.shape == (10, 2, 5, 2) and relations.shape == (10, 5, 5)

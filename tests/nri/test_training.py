@@ -101,17 +101,21 @@ def test_every_window_is_a_sample_and_an_epoch_has_each_once():
     assert (seen[0] != seen[3]).any()
 
 
+def given_to_the_losses(trainer, samples, monkeypatch):
+    """Features and edges of a step of some samples; it ends where it asks for a gradient."""
+    caught = []
+    monkeypatch.setattr(trainer.model, 'losses', lambda *given: caught.append(given) or {'loss': 0})
+    with pytest.raises((TypeError, ValueError, AttributeError)):
+        trainer._compile([]).python_function(tf.constant(samples), tf.constant(0))
+    features, _, edges, _ = caught[0]
+    return features, edges
+
+
 def test_a_step_sees_the_window_of_its_sample(monkeypatch):
     held = small.springs(n_run=4, n_frame=20)
     model = small.model(held, batch_size=2, window=8, segment=3, stride=2)
-    trainer = Trainer(model, held)  # windows of 15 frames: 6 starts
-    caught = []
-    monkeypatch.setattr(
-        model, 'losses', lambda features, *rest: caught.append((features, rest[1])) or {'loss': 0.0}
-    )
-    with pytest.raises((TypeError, ValueError, AttributeError)):
-        trainer._compile([]).python_function(tf.constant([7, 20]), tf.constant(0))
-    features, edges = caught[0]
+    # Windows of 15 frames: 6 starts.
+    features, edges = given_to_the_losses(Trainer(model, held), [7, 20], monkeypatch)
     np.testing.assert_array_equal(features[0], held.features[1, :, 1:16:2])
     np.testing.assert_array_equal(features[1], held.features[3, :, 2:17:2])
     np.testing.assert_array_equal(edges, held.edges[[1, 3]])
@@ -135,15 +139,9 @@ def test_isotropic_runs_are_turned_and_mirrored_each_in_its_way(monkeypatch):
     assert len(found) == 8
     np.testing.assert_array_equal(training.turned(plain, tf.constant([3, 5])), after)
     assert (training.turned(plain, tf.constant([3, 6])).numpy() != after).any()
-    caught = []
     model = small.model(held, batch_size=4, isotropic=True)
-    monkeypatch.setattr(
-        model, 'losses', lambda features, *rest: caught.append(features) or {'loss': 0.0}
-    )
-    samples = tf.zeros(4, tf.int32)
-    with pytest.raises((TypeError, ValueError, AttributeError)):
-        Trainer(model, held)._compile([]).python_function(samples, tf.constant(0))
-    assert len(np.unique(caught[0], axis=0)) > 1
+    features, _ = given_to_the_losses(Trainer(model, held), [0] * 4, monkeypatch)
+    assert len(np.unique(features, axis=0)) > 1
     modes = dataclasses.replace(held, same_scale=False)
     with pytest.raises(ValueError, match='modes are not isotropic'):
         Trainer(model, modes)

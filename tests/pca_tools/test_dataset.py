@@ -106,7 +106,7 @@ def test_metadata_that_does_not_fit(tmp_path, changes, text):
         dataset.read_split(folder, 'train')
 
 
-def test_buffers_of_the_wrong_size_and_nan_are_named(tmp_path):
+def test_buffers_of_the_wrong_size_nan_and_other_node_types_are_named(tmp_path):
     folder = make_folder(tmp_path, [make_trajectory()], manifest=False)
     path = f'{folder}/train.tfrecord'
     good = next(tfrecord_io.read_records(path))
@@ -117,27 +117,18 @@ def test_buffers_of_the_wrong_size_and_nan_are_named(tmp_path):
         ({'particle_type': good.particle_type[:-8]}, 'frame 0 has 60 bytes, 48 were expected'),
         ({'frames': {'position': []}}, 'position: has no frames'),
         ({'frames': {**good.frames, 'force': infinite}}, 'force holds 1 NaN .* frame 2'),
+        ({'particle_type': np.array([6, 3, 3, 3, 6]).tobytes()}, 'mode_number says the last 2'),
+        ({'particle_type': np.array([3, 3, 5, 6, 6]).tobytes()}, 'rigid nodes must be 0 or 3'),
     ):
         tfrecord_io.write_records(path, [dataclasses.replace(good, **change)])
         with pytest.raises(ValueError, match='record 0.*' + text):
             dataset.read_split(folder, 'train')
 
 
-def test_node_types_are_checked(tmp_path):
-    for types, text in (
-        ([6, 3, 3, 3, 6], 'mode_number says the last 2'),
-        ([3, 3, 5, 6, 6], 'rigid nodes must be 0 or 3'),
-    ):
-        run = dataclasses.replace(make_trajectory(), particle_type=np.array(types))
-        with pytest.raises(ValueError, match=text):
-            dataset.read_split(make_folder(tmp_path, [run]), 'train')
-
-
 def test_missing_things_are_named(tmp_path):
-    with pytest.raises(FileNotFoundError, match='no such dataset folder'):
-        dataset.read_metadata(str(tmp_path / 'nowhere'))
-    with pytest.raises(FileNotFoundError, match='metadata.json'):
-        dataset.read_metadata(str(tmp_path))
+    for folder, text in (('nowhere', 'no such dataset folder'), ('', 'metadata.json')):
+        with pytest.raises(FileNotFoundError, match=text):
+            dataset.read_metadata(str(tmp_path / folder))
     folder = make_folder(tmp_path, [make_trajectory()])
     with pytest.raises(FileNotFoundError, match=r"test.tfrecord: no such file; .*\['train'\]"):
         dataset.read_split(folder, 'test')

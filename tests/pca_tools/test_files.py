@@ -44,17 +44,16 @@ def test_a_folder_that_fails_leaves_the_old_one_and_nothing_else(tmp_path):
 
 @pytest.mark.parametrize('read', [files.read_npz, files.read_json])
 def test_pointer_empty_missing_and_folder_are_named(tmp_path, read):
-    pointer, empty = tmp_path / 'pointer', tmp_path / 'empty'
-    pointer.write_bytes(POINTER)
-    empty.touch()
-    with pytest.raises(ValueError, match='git-lfs pointer.*190515362 bytes.*git lfs pull'):
-        read(str(pointer))
-    with pytest.raises(ValueError, match='is empty'):
-        read(str(empty))
-    with pytest.raises(FileNotFoundError, match='nowhere'):
-        read(str(tmp_path / 'nowhere'))
-    with pytest.raises(ValueError, match='is a folder'):
-        read(str(tmp_path))
+    (tmp_path / 'pointer').write_bytes(POINTER)
+    (tmp_path / 'empty').touch()
+    for name, error, text in (
+        ('pointer', ValueError, 'git-lfs pointer.*190515362 bytes.*git lfs pull'),
+        ('empty', ValueError, 'is empty'),
+        ('nowhere', FileNotFoundError, 'nowhere'),
+        ('', ValueError, 'is a folder'),
+    ):
+        with pytest.raises(error, match=text):
+            read(str(tmp_path / name))
 
 
 def test_objects_and_members_that_are_no_arrays_are_refused(tmp_path):
@@ -77,25 +76,19 @@ def test_manifest_notices_every_change(tmp_path):
     assert entries['a.json']['bytes'] == os.path.getsize(f'{folder}/a.json')
     with pytest.raises(ValueError, match='does not list b.json'):
         files.check_manifest(folder, ['b.json'])
-    files.write_json(f'{folder}/a.json', [1, 3])
-    with pytest.raises(ValueError, match='content differs from the manifest'):
-        files.check_manifest(folder)
-    files.write_json(f'{folder}/a.json', [1, 2, 3])
-    with pytest.raises(ValueError, match='the manifest says'):
-        files.check_manifest(folder)
-    os.remove(f'{folder}/a.json')
-    with pytest.raises(ValueError, match='is missing'):
-        files.check_manifest(folder)
-
-
-def test_manifest_that_points_out_of_its_folder_is_refused(tmp_path):
-    entry = {'bytes': 1, 'sha256': 'x'}
-    files.write_json(str(tmp_path / 'manifest.json'), {'files': {'../a': entry}})
-    with pytest.raises(ValueError, match='points out of the folder'):
-        files.check_manifest(str(tmp_path))
-    files.write_json(str(tmp_path / 'manifest.json'), ['a'])
-    with pytest.raises(ValueError, match='is not a manifest'):
-        files.check_manifest(str(tmp_path))
+    outside = {'files': {'../a': {'bytes': 1, 'sha256': 'x'}}}
+    for name, content, text in (
+        ('a', [1, 3], 'content differs from the manifest'),
+        ('a', [1, 2, 3], 'the manifest says'),
+        ('a', None, 'is missing'),
+        ('manifest', outside, 'points out of the folder'),
+        ('manifest', ['a'], 'is not a manifest'),
+    ):
+        files.write_json(f'{folder}/{name}.json', content)
+        if content is None:
+            os.remove(f'{folder}/{name}.json')
+        with pytest.raises(ValueError, match=text):
+            files.check_manifest(folder)
 
 
 def test_large_json_is_refused_before_it_is_parsed(tmp_path):

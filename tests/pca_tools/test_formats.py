@@ -251,20 +251,15 @@ def test_folders_are_named_wherever_they_are_met(exports, excavation, raw_excava
         assert text in explain(str(exports(name)))
     done = call_command('pca_tools.import_data', str(exports('mpm_ngf')))
     assert done.returncode == 0 and done.stdout.endswith('--output_path=RAW --dt=SECONDS\n')
+    for name in ('records', 'notes', 'nothing'):
+        (tmp_path / name).mkdir()
+    (tmp_path / 'records' / 'train.tfrecord').touch()
+    (tmp_path / 'notes' / 'notes.txt').touch()
     for folder, text in (
-        (raw_excavation, 'raw runs already'),
-        (excavation, 'already: lts inspect'),
-    ):
-        with pytest.raises(ValueError, match=text):
-            import_data(folder, str(tmp_path / 'out'))
-    for names, text in (
-        (('train.tfrecord',), 'no metadata.json'), (('notes.txt',), 'none of the known formats'),
-        ((), 'holds nothing'),
+        (raw_excavation, 'raw runs already'), (excavation, 'already: lts inspect'),
+        (tmp_path / 'records', 'no metadata.json'),
+        (tmp_path / 'notes', 'none of the known formats'), (tmp_path / 'nothing', 'holds nothing'),
     ):  # fmt: skip
-        folder = tmp_path / text.replace(' ', '_')
-        folder.mkdir()
-        for name in names:
-            (folder / name).write_text('{}')
         with pytest.raises(ValueError, match=text):
             import_data(str(folder), str(tmp_path / 'out'))
     assert not (tmp_path / 'out').exists()

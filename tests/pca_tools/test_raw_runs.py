@@ -115,15 +115,13 @@ def test_all_faults_of_files_and_of_the_manifest_are_told_before_anything_is_enc
     ):  # fmt: skip
         assert text in str(error.value)
     manifest = files.read_json(f'{raw}/manifest.json')
-    unlisted = {'dt': -1, 'bounds': 'wide', 'runs': [{'file': 'run_001.npz', 'case': 1}]}
+    bad = {'dt': -1, 'bounds': 'wide', 'runs': [{'file': 'run_001.npz', 'case': 1}]}
+    all_bad = '(?s)3 faults.*dt is -1.*bounds is .wide.*a run is listed as .*sha256.*--rehash'
     for change, text in (
         ({'runs': []}, 'lists no runs'),
         ({'runs': manifest['runs'][:1] * 2}, r'lists the cases \[1\] more than once'),
         ({'scene': {'name': 'x'}}, 'lacks .*rigid_motion'),
-        (
-            unlisted,
-            '(?s)3 faults.*dt is -1.*bounds is .wide.*a run is listed as .*sha256.*--rehash',
-        ),
+        (bad, all_bad),
     ):
         files.write_json(f'{raw}/manifest.json', {**manifest, **change})
         with pytest.raises(ValueError, match=text):

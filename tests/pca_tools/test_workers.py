@@ -9,6 +9,7 @@ import pytest
 
 from pca_tools import subspace, workers
 from tests.pca_tools import jobs
+from tests.pca_tools.test_subspace import make_runs
 
 
 @pytest.fixture(scope='module')
@@ -54,18 +55,9 @@ def test_what_fails_is_tried_again_and_does_not_stop_the_rest(crew, tmp_path):
     assert sorted(os.listdir(tmp_path)) == ['try0', 'try1', 'try2']
 
 
-def runs_of_six_modes(count):
-    """Motions with few modes, [20, 60, 3] each, and the memory that the covariance takes, but not
-    the matrix."""
-    rng = np.random.default_rng(0)
-    shapes = rng.normal(size=(6, 60)) * 0.5 ** np.arange(6)[:, None]
-    motions = (rng.normal(size=(20, 6, 3)) for _ in range(count))
-    runs = [np.einsum('tmk,mn->tnk', motion, shapes) + 1.0 for motion in motions]
-    return runs, 2.5 * 8 * 60**2 / 2**20
-
-
 def test_covariance_on_workers_gives_the_same_subspace(crew, monkeypatch):
-    runs, memory = runs_of_six_modes(7)
+    runs = make_runs(7, particles=60, rank=6)
+    memory = 2.5 * 8 * 60**2 / 2**20  # of the covariance, but not of the matrix
     monkeypatch.setattr(subspace, 'RUNS_PER_TASK', 2)
     plain = subspace.fit(jobs.Runs(runs), 4, max_memory_mb=memory)
     found = subspace.fit(jobs.Runs(runs), 4, max_memory_mb=memory, crew=crew)

@@ -2,6 +2,7 @@
 
 import concurrent.futures
 import contextlib
+import functools
 import os
 import pathlib
 import signal
@@ -149,12 +150,9 @@ def test_kill_while_a_folder_is_replaced_leaves_a_whole_one(tmp_path, monkeypatc
     for point in range(1, 12):
         path = tmp_path / str(point) / 'set'
         whole_files.write_folder_atomically(str(path), fill_with('old'))
+        write = functools.partial(whole_files.write_folder_atomically, str(path), fill_with('new'))
         names = ('os.rename', 'os.mkdir', 'shutil.rmtree', '_swap')
-        was_killed = killed_before(
-            point,
-            names,
-            lambda path=path: whole_files.write_folder_atomically(str(path), fill_with('new')),
-        )
+        was_killed = killed_before(point, names, write)
         if not swaps:  # else there is never a moment without a whole folder under the name
             whole_files.recover_folder(str(path))
         assert (path / 'a').read_text() in ('old', 'new')
@@ -184,18 +182,15 @@ def test_kill_while_results_are_replaced_never_mixes_them(tmp_path):
         for name in ('run_0', 'run_1', 'metrics'):
             put('new')(os.path.join(fresh, name))
 
-    def is_old(name):
-        return name.startswith('run_')
-
     for point in range(1, 9):
         folder = tmp_path / str(point)
         folder.mkdir()
         for name in ('run_0', 'run_1', 'run_2', 'metrics', 'picture'):
             (folder / name).write_text('old')
 
-        def replace(folder=folder):
-            whole_files.replace_files(str(folder), fill, is_old, 'metrics')
-
+        replace = functools.partial(
+            whole_files.replace_files, str(folder), fill, lambda n: n.startswith('run_'), 'metrics'
+        )
         was_killed = killed_before(point, ('os.mkdir', 'os.remove', 'os.replace'), replace)
         assert was_killed == (point <= 6)
         if (folder / 'metrics').exists():
