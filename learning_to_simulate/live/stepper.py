@@ -5,9 +5,9 @@
     frame = stepper.step(next_pose)
     points = frame.particles()        # only where they are asked for
 
-A step computes the frames: `tf_step.TfStep`, or by C (`native.engines`). Input that cannot be used
-is refused before anything changes; input unlike the training runs is used and flagged, in that
-frame and in all that follow. After the first call nothing is compiled any more.
+A step computes the frames: `TfStep`, or by C (`native.engines`). Input that cannot be used is
+refused before anything changes; input unlike the training runs is used and flagged, in that frame
+and in all that follow. After the first call nothing is compiled any more.
 """
 
 import contextlib
@@ -16,17 +16,101 @@ import threading
 from typing import Any, NamedTuple
 
 import numpy as np
+import tensorflow as tf
 
+from learning_to_simulate.axes import without_height
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.live import poses
 from learning_to_simulate.live.soil import Decoder, Soil
 from learning_to_simulate.live.starts import RecordedStart, Start, read_context
-from learning_to_simulate.live.tf_step import TfStep
+from learning_to_simulate.rollout import corrected_step
 from learning_to_simulate.rollout_status import OK, Judgement, NodeRanges, RolloutStatus, worse
 from learning_to_simulate.scene import RigidMotion
+from learning_to_simulate.subspace import path_memory
+from learning_to_simulate.subspace.learned_simulator import SimulatorState
+from learning_to_simulate.subspace.rigid_body import KnownMotion, shape_of
 from pca_tools import rigid_fit
 
 FLAG, HOLD, RAISE = 'flag', 'hold', 'raise'
+
+
+class TfStep:
+    """Frames by TensorFlow, compiled once for R rigid particles that are nodes; the variables of
+    the `subspace_model.Model` are read anew in every frame."""
+
+    def __init__(self, model, n_rigid: int):
+        self._simulator, self._layout = model.simulator, model.layout(n_rigid)
+        self._scene = scene = model.simulator.scene
+        self._correct = scene.rigid_motion == RigidMotion.PREDICTED
+        # Of the newest frame and of the coming one: state, context, memory of the path. Of the
+        # run: shape of a predicted body, modes at the start where the path is an input.
+        self._newest: Any = None
+        self._proposed: Any = None
+        self._shape = self._start = None
+        dim, shape = self._simulator.dim, (1, self._layout.n_node)
+        spec = tf.TensorSpec
+        body = spec((1, n_rigid, dim))
+        run = (None, None)
+        if self._layout.memory is not None:
+            run = spec((1, path_memory.WIDTH)), spec((1, scene.n_modes, dim))
+        self._frame = tf.function(self._compute, jit_compile=True, autograph=False)
+        self._call = self._frame.get_concrete_function(
+            SimulatorState(spec((*shape, dim)), spec((*shape, H - 1, dim))),
+            KnownMotion(body, body, *run) if scene.rigid_motion.is_known else None,
+            spec((1, len(scene.context_names))) if scene.context_names else None,
+            spec((1, n_rigid, dim), tf.float64) if self._correct else None,
+        )
+
+    def reset(self, history, context) -> None:
+        """Starts after the frames float64 [H, V, D], with a context float64 [C] or None."""
+        layout, n, memory = self._layout, self._layout.n_rigid, None
+        velocity = np.diff(history, axis=0).swapaxes(0, 1)
+        state = SimulatorState(_batch(history[-1] - layout.origin), _batch(velocity))
+        if self._correct:
+            self._shape = shape_of(state.offset[:, :n], layout.origin[:n])
+        if layout.memory is not None:
+            self._start = state.offset[:, n:]
+            memory = layout.memory.start(history[:1, :n])
+            for body in history[1:, :n]:
+                memory = layout.memory.advance(memory, body[None])
+        self._newest = state, None if context is None else _batch(context), memory
+
+    def propose(self, body, displacement, context=None):
+        """The next frame, positions float64 [V, D], m, and force float32 [F], N, or None; the state
+        stays as it is until `accept`. Of the body float64 [R, D], m, in the coming frame and its
+        displacement into it, or None where it is predicted; the context float64 [C] from that frame
+        on, None where it is as it was. ValueError for a path that leads farther than its memory
+        reaches."""
+        layout, known, (state, held, memory) = self._layout, None, self._newest
+        if body is not None:
+            motion = [body - layout.origin[: layout.n_rigid], displacement]
+            if self._scene.rigid_motion == RigidMotion.DRIVEN:
+                motion = [without_height(x, self._scene.up_axis) for x in motion]
+            known = KnownMotion(*map(_batch, motion))
+        if memory is not None:
+            memory = layout.memory.advance(memory, body[None])
+            path = tf.constant(layout.memory.values(memory))
+            known = known._replace(path=path, start=self._start)
+        context = held if context is None else _batch(context)
+        after, force = self._call(state, known, context, self._shape)
+        self._proposed = after, context, memory
+        position = after.offset.numpy()[0] + layout.origin
+        return position, None if force is None else force.numpy()[0]
+
+    def accept(self) -> None:
+        """Takes the frame that was proposed last as the newest one."""
+        self._newest = self._proposed
+
+    def clone(self) -> 'TfStep':
+        """Another run at the same point, by the same compiled function."""
+        return copy.copy(self)
+
+    def _compute(self, state, known, context, shape):
+        return corrected_step(self._simulator, self._layout, state, known, context, shape)
+
+
+def _batch(values):
+    return tf.constant(values[None], tf.float32)
 
 
 class Frame(NamedTuple):

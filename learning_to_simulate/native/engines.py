@@ -47,7 +47,7 @@ def stepper(model, starts=None, subspace=None, kind: str = BEST, **options) -> S
 
 
 class CStep(CSubspace):
-    """A step of `Stepper` by the C library: the same frames as `live.tf_step.TfStep`."""
+    """A step of `Stepper` by the C library: the same frames as `live.stepper.TfStep`."""
 
     _before: 'CStep | None' = None  # the state that a proposal left behind
     _is_proposed = False
