@@ -204,7 +204,6 @@ class FullSpaceConfig(Training):
       model: full_space.
       soil_particles: about how many soil particles are kept.
       velocity_inputs, rate_scaled: as of `TrainConfig`.
-      mode_order: 2 predicts the acceleration of the soil, 1 its displacement.
     """
 
     preset: str
@@ -212,7 +211,6 @@ class FullSpaceConfig(Training):
     soil_particles: int = number(400, 1)
     velocity_inputs: int = number(1, 1, INPUT_SEQUENCE_LENGTH - 1)
     rate_scaled: bool = True
-    mode_order: int = number(1, 1, 2)
 
 
 @dataclasses.dataclass(frozen=True)

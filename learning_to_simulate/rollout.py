@@ -6,9 +6,8 @@ from typing import NamedTuple
 import numpy as np
 import tensorflow as tf
 
-from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.rollout_status import Judgement, RolloutStatus, judge
-from learning_to_simulate.scene import RigidMotion
 from learning_to_simulate.subspace.learned_simulator import (
     Layout,
     LearnedSimulator,
@@ -71,9 +70,7 @@ class RolloutFunction:
 
     def _loop(self, state, known, context, n_frame):
         layout, simulator = self.layout, self.simulator
-        n, shape = layout.n_rigid, None
-        if simulator.scene.rigid_motion == RigidMotion.PREDICTED:
-            shape = shape_of(state.offset[:, :n], layout.origin[:n])
+        shape = shape_of(state.offset, layout, simulator.scene)
 
         def body(k, state, arrays):
             coming = None if known is None else known.at(k)
@@ -96,22 +93,21 @@ class RolloutFunction:
 
 def rollout_inputs(group, layout: Layout, scene):
     """Arguments of a `RolloutFunction` for all runs of a group."""
-    h = INPUT_SEQUENCE_LENGTH
     offset, velocity = group.position - layout.origin, group.velocity
-    state = initial_state(offset[:, :h], velocity[:, 1:h])
-    body = (np.moveaxis(a[:, h:, : group.n_rigid], 1, 0) for a in (offset, velocity))
+    state = initial_state(offset[:, :H], velocity[:, 1:H])
+    body = (np.moveaxis(a[:, H:, : group.n_rigid], 1, 0) for a in (offset, velocity))
     known = known_motion(*body, scene)  # type: ignore[call-arg]
     if known is not None:
         known = KnownMotion(*(tf.cast(x, tf.float32) for x in known[:2]))
     if layout.memory is not None:
-        path = layout.memory.read(group.position[:, :, : group.n_rigid])[:, h:]
-        start = tf.constant(offset[:, h - 1, group.n_rigid :], tf.float32)
+        path = layout.memory.read(group.position[:, :, : group.n_rigid])[:, H:]
+        start = tf.constant(offset[:, H - 1, group.n_rigid :], tf.float32)
         known = known._replace(path=tf.constant(np.moveaxis(path, 1, 0)), start=start)
     context = group.context
     if context is not None:
-        by_frame = np.moveaxis(context[:, h:], 1, 0) if group.context_changes else context
+        by_frame = np.moveaxis(context[:, H:], 1, 0) if group.context_changes else context
         context = tf.constant(by_frame, tf.float32)
-    return state, known, context, group.position.shape[1] - h
+    return state, known, context, group.position.shape[1] - H
 
 
 def roll_out(function: RolloutFunction, group, force_limit: float | None = None) -> Rollout:

@@ -1,18 +1,24 @@
-"""The exported functions of a model in a subspace: `step` and `reconstruct`.
+"""The exported functions of a model in a subspace, `step` and `reconstruct`, and their files.
 
 A step takes the state that the model has in Python, float32 offsets from `origin` and the last
 displacements, and gives the next one. Positions themselves do not fit into float32.
+
+Each writer of a format takes the concrete functions by name, the variables that they hold and a
+folder, and returns a function that loads what it wrote: name -> a function of named arrays that
+gives a dict. A SavedModel has a signature for each function, LiteRT and ONNX have a file for each.
 """
 
+import functools
 import os
+import pathlib
 import time
 
 import numpy as np
 import tensorflow as tf
+from tensorflow.python.framework import convert_to_constants
 
 from learning_to_simulate import registry
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
-from learning_to_simulate.export import export_formats
 from learning_to_simulate.rollout import corrected_step
 from learning_to_simulate.scene import RigidMotion
 from learning_to_simulate.subspace.learned_simulator import SimulatorState, initial_state
@@ -65,9 +71,8 @@ class StepFunctions:
         if rigid_offset is not None:
             known = known_motion(rigid_offset[None], rigid_velocity[None], self._scene)
         context = None if context is None else context[None]
-        state, shape, n = SimulatorState(offset[None], velocity[None]), None, layout.n_rigid
-        if self._scene.rigid_motion == RigidMotion.PREDICTED:
-            shape = shape_of(state.offset[:, :n], layout.origin[:n])
+        state = SimulatorState(offset[None], velocity[None])
+        shape = shape_of(state.offset, layout, self._scene)
         after, force = corrected_step(self._simulator, layout, state, known, context, shape)
         found = {'next_offset': after.offset[0], 'next_velocity': after.velocity[0]}
         return found if force is None else found | {'force': force[0]}
@@ -88,9 +93,7 @@ class StepFunctions:
             tolerance.
         """
         functions, samples = self._functions(kind), self._samples()
-        concrete = export_formats.concrete(functions, kind)
-        variables = self._simulator.trainable_variables
-        load = export_formats.WRITERS[kind](concrete, variables, folder)
+        load = _WRITERS[kind](functions, self._simulator.trainable_variables, folder)
         start = time.perf_counter()
         loaded = load()
         seconds = time.perf_counter() - start
@@ -101,13 +104,16 @@ class StepFunctions:
             arrays = {name: np.stack([row[name] for row in named]) for name in named[0]} | arrays
         files.write_npz(os.path.join(folder, 'sample.npz'), **arrays)
         signatures = {
-            name: {'inputs': _rows(functions[name][1]), 'outputs': _rows(found.structured_outputs)}
-            for name, found in concrete.items()
+            name: {
+                'inputs': _rows(found.structured_input_signature[1]),
+                'outputs': _rows(found.structured_outputs),
+            }
+            for name, found in functions.items()
         }
         return {'signatures': signatures, 'load_s': seconds, 'compared': compared}
 
     def _functions(self, kind):
-        """Name -> function and its inputs by name."""
+        """Name -> concrete function; those of a SavedModel are compiled by XLA."""
         if kind != 'savedmodel' and self._scene.rigid_motion == RigidMotion.PREDICTED:
             raise ValueError(
                 'LiteRT and ONNX have no eigenvalue solver for the correction of a predicted rigid '
@@ -122,10 +128,12 @@ class StepFunctions:
         found = {'step': (self.step, shapes)}
         if self._space is not None:
             found['reconstruct'] = self.reconstruct, {'modes': (self._scene.n_modes, dim)}
+        compiled = kind == 'savedmodel' or None
         return {
-            name: (function, {k: tf.TensorSpec(s, name=k) for k, s in rows.items()})
+            name: tf.function(function, autograph=False, jit_compile=compiled)
+            .get_concrete_function(**{k: tf.TensorSpec(s, name=k) for k, s in rows.items()})
             for name, (function, rows) in found.items()
-        }
+        }  # fmt: skip
 
     def _samples(self):
         """Name -> calls, (inputs, outputs of the source), of frames of the run."""
@@ -215,3 +223,88 @@ class StepFunctions:
 
 def _rows(tensors):
     return {k: [list(t.shape), t.dtype.name, MEANING[k]] for k, t in tensors.items()}
+
+
+def _write_saved_model(functions, variables, folder: str):
+    holder = tf.Module(name='exported')  # Nothing but the weights goes into the file as an object.
+    holder.weights = variables
+    tf.saved_model.save(holder, folder, signatures=functions)
+
+    def load():
+        loaded = tf.saved_model.load(folder)
+
+        def call(name, **inputs):
+            return loaded.signatures[name](**{k: tf.constant(v) for k, v in inputs.items()})
+
+        return {name: functools.partial(call, name) for name in functions}
+
+    return load
+
+
+def _write_tflite(functions, variables, folder: str):
+    try:
+        from ai_edge_litert.interpreter import Interpreter
+    except ImportError as error:
+        raise ValueError(_missing('ai-edge-litert')) from error
+    holder = tf.Module(name='exported')
+    holder.weights = variables
+    paths = {name: os.path.join(folder, f'{name}.tflite') for name in functions}
+    for name, concrete in functions.items():
+        converter = tf.lite.TFLiteConverter.from_concrete_functions([concrete], holder)
+        pathlib.Path(paths[name]).write_bytes(converter.convert())
+
+    def load():
+        return {
+            name: Interpreter(model_path=path).get_signature_runner()
+            for name, path in paths.items()
+        }
+
+    return load
+
+
+def _write_onnx(functions, variables, folder: str):
+    try:
+        import onnxruntime
+        import tf2onnx
+    except ImportError as error:
+        raise ValueError(_missing(error.name)) from error
+    paths = {name: os.path.join(folder, f'{name}.onnx') for name in functions}
+    for name, concrete in functions.items():
+        # tf2onnx loses the inputs of a function of today's TensorFlow, but not of a frozen graph.
+        frozen = convert_to_constants.convert_variables_to_constants_v2(concrete)
+        ends = [[tensor.name for tensor in part] for part in (frozen.inputs, frozen.outputs)]
+        proto, _ = tf2onnx.convert.from_graph_def(
+            frozen.graph.as_graph_def(), input_names=ends[0], output_names=ends[1], opset=17
+        )
+        inputs = {end: end.split(':')[0] for end in ends[0]}
+        _rename(proto.graph, inputs | dict(zip(ends[1], _outputs(concrete), strict=True)))
+        pathlib.Path(paths[name]).write_bytes(proto.SerializeToString())
+
+    def load():
+        def caller(path, names):
+            session = onnxruntime.InferenceSession(path, providers=['CPUExecutionProvider'])
+            return lambda **inputs: dict(zip(names, session.run(names, inputs), strict=True))
+
+        return {name: caller(paths[name], _outputs(c)) for name, c in functions.items()}
+
+    return load
+
+
+def _outputs(concrete):
+    """Names of outputs in the order in which TensorFlow flattens a dict."""
+    return sorted(concrete.structured_outputs)
+
+
+def _rename(graph, names):
+    for value in (*graph.input, *graph.output):
+        value.name = names.get(value.name, value.name)
+    for node in graph.node:
+        for ends in (node.input, node.output):
+            ends[:] = [names.get(name, name) for name in ends]
+
+
+def _missing(package):
+    return f'{package} is not installed; it comes with the extra: pip install -e .[deploy]'
+
+
+_WRITERS = {'savedmodel': _write_saved_model, 'tflite': _write_tflite, 'onnx': _write_onnx}

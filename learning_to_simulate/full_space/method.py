@@ -1,4 +1,7 @@
-"""Training, rollouts and evaluation of the full-space baseline on disk; see the package."""
+"""The full-space baseline on disk: runs of particles, training, rollouts; see the package.
+
+A run has every k-th soil particle of the dataset beside all rigid particles.
+"""
 
 import dataclasses
 import os
@@ -12,20 +15,228 @@ import tensorflow as tf
 from learning_to_simulate import checkpoints, evaluation, reading_utils
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.config import FullSpaceConfig
-from learning_to_simulate.full_space import data_parallel, runs
+from learning_to_simulate.full_space import data_parallel
 from learning_to_simulate.full_space.simulator import (
     ParticleSimulator,
     ParticleStatistics,
     compute_statistics,
-    history_of,
     typical_radius,
 )
-from learning_to_simulate.full_space.training import ParticleTrainer
+from learning_to_simulate.reading_utils import RunGroup, context_of
 from learning_to_simulate.registry import OpenedModel
 from learning_to_simulate.rollout import Rollout
 from learning_to_simulate.rollout_status import Judgement, RolloutStatus
+from learning_to_simulate.scene import RigidMotion
 from learning_to_simulate.training import loop
+from learning_to_simulate.training.schedule import GradientTraining
 from pca_tools import dataset, files
+from pca_tools.raw_runs import RawRuns
+from pca_tools.subspace import Subspace
+
+SOIL_TYPE = 6  # of the authors' records
+RAW, DECODED = 'raw runs', 'decoded from the subspace'
+_WINDOW_STREAM, _EVALUATION_STREAM = 11, 12
+
+
+def read_runs(data_path, raw_path, split, metadata, soil_particles) -> RunGroup:
+    """All runs of a split as one group of V = R + kept soil particles (about `soil_particles`),
+    from the folder of the raw runs of its cases, or (None) decoded from the records.
+
+    Raises:
+      FileNotFoundError: no such split, raw folder or subspace.
+      ValueError: raw runs that lack a case of the split or differ from the dataset, records with
+        other numbers of rigid particles or frames, or without a subspace.
+    """
+    records = dataset.read_split(data_path, split)
+    soils = _decoded_soil(data_path, records)
+    if raw_path:
+        soils = _raw_soil(raw_path, metadata, data_path, split, records)
+    positions = []
+    for i, (run, soil) in enumerate(zip(records, soils)):
+        if soil_particles > soil.shape[1]:
+            raise ValueError(
+                f'soil_particles is {soil_particles}, but the runs have {soil.shape[1]} soil '
+                f'particles'
+            )
+        kept = slice(None, None, max(round(soil.shape[1] / soil_particles), 1))
+        rigid = run.position[:, : run.n_rigid].astype(np.float64)
+        positions.append(np.concatenate([rigid, soil[:, kept]], axis=1))
+        if positions[-1].shape != positions[0].shape or run.n_rigid != records[0].n_rigid:
+            raise ValueError(
+                f'{data_path}: {split} record {i} has {run.n_rigid} rigid particles and '
+                f'{len(run.position)} frames, unlike those before: full_space takes equal runs only'
+            )
+    first = records[0]
+    n_soil = positions[0].shape[1] - first.n_rigid
+    return RunGroup(
+        n_rigid=first.n_rigid,
+        particle_type=np.append(first.particle_type[: first.n_rigid], [SOIL_TYPE] * n_soil),
+        position=np.stack(positions),
+        force=None if first.force is None else np.stack([r.force for r in records]).astype(float),  # type: ignore[misc]
+        context=context_of(records),
+        record=np.arange(len(records)),
+    )
+
+
+def _decoded_soil(data_path, records):
+    path = os.path.join(data_path, 'subspace.npz')
+    if not os.path.isfile(path):
+        raise FileNotFoundError(
+            f'{path}: no such file; without a subspace full_space needs the raw runs (--raw_path)'
+        )
+    space = Subspace.load(path)
+    yield from (space.decode(run.position[:, run.n_rigid :]) for run in records)
+
+
+def _raw_soil(raw_path, metadata, data_path, split, records):
+    """Soil particles of the raw run of each record, checked against it."""
+    raw = RawRuns(raw_path)
+    cases = [entry['case'] for entry in metadata.get('cases', {}).get(split, [])]
+    if len(cases) != len(records):
+        raise ValueError(
+            f'metadata.json names {len(cases)} cases of {split} for {len(records)} records: raw '
+            f'runs cannot be found for them'
+        )
+    if lacking := sorted(set(cases) - set(raw.cases)):
+        raise ValueError(f'{raw_path}: lacks the runs of the {split} cases {lacking}')
+    for i, (case, record) in enumerate(zip(cases, records)):
+        run, body = raw[raw.cases.index(case)], record.position[:, : record.n_rigid]
+        if run.rigid_positions.shape != body.shape or not np.allclose(
+            run.rigid_positions, body, atol=1e-5
+        ):
+            raise ValueError(
+                f'{raw_path}: the body of case {case} does not move as in {split} record {i} of '
+                f'{data_path}: the raw runs are of another dataset'
+            )
+        yield run.positions.astype(np.float64)
+
+
+def history_of(group, run: int, end: int):
+    """Position [V, D] of frame `end` of a run and the velocities [H - 1, V, D] up to it."""
+    frames = group.position[run, end - H + 1 : end + 1]
+    return frames[-1], np.diff(frames, axis=0)
+
+
+class ParticleTrainer(GradientTraining):
+    """Single steps with random-walk noise: holds one `RunGroup` of particles, the optimiser and one
+    compiled step; batches are made on the host, and dealt to the processes that train together
+    (`share`; None for this one alone).
+
+    Raises:
+      ValueError: runs shorter than a window, or batches that cannot be dealt to the processes.
+    """
+
+    def __init__(self, model, group, share=None):
+        super().__init__(model.simulator, clip_norm=1.0)
+        self._group, self._share = group, share
+        if self._group.position.shape[1] <= H:
+            raise ValueError(
+                f'runs of {self._group.position.shape[1]} frames are shorter than the training '
+                f'window of {H + 1} frames'
+            )
+        if share:
+            share.refuse_batch(self.config.batch_size)
+        self._compiled = tf.function(self._train_step, autograph=False, reduce_retracing=True)
+
+    def step(self, step: int) -> dict[str, tf.Tensor]:
+        rng = self.generator(_WINDOW_STREAM, step)
+        windows = self._windows(rng, self.config.batch_size)
+        # Every process draws all noise, so that a sample has the same wherever it is made.
+        drawn = [(run, start, self._walk(rng)) for run, start in windows]
+        if self._share:
+            drawn = drawn[self._share.index :: self._share.count]
+        batch = self._batch([self._sample(*sample) for sample in drawn])
+        return self._compiled(tf.constant(step, tf.float32), *batch)
+
+    def batch_of(self, step: int) -> list[tuple[int, int]]:
+        """(record, first frame) of each window of training step `step`."""
+        rng = self.generator(_WINDOW_STREAM, step)
+        windows = self._windows(rng, self.config.batch_size)
+        return [(int(self._group.record[run]), start) for run, start in windows]
+
+    def one_step_errors(self, n_batch: int = 20) -> dict[str, float]:
+        """Mean one-step losses without noise over random windows."""
+        rows = []
+        for i in range(n_batch):
+            rng = self.generator(_EVALUATION_STREAM, i)
+            samples = [self._sample(run, start) for run, start in self._windows(rng, 4)]
+            rows.append({k: float(v) for k, v in self._losses(*self._batch(samples)).items()})
+        return {k: float(np.mean([row[k] for row in rows])) for k in rows[0]}
+
+    def _windows(self, rng, size):
+        n_run, n_frame = self._group.position.shape[:2]
+        picks = rng.integers(n_run * (n_frame - H), size=size)
+        return [divmod(int(pick), n_frame - H) for pick in picks]
+
+    def _walk(self, rng):
+        if not self.config.noise_std:
+            return None
+        return rng.normal(size=(H - 1, *self._group.position.shape[2:]))
+
+    def _sample(self, run, start, walk=None):
+        """Graph, target [V, D], weight [V, D] of its error, force [D] of one window; the random
+        walk of the noise reaches `noise_std` in the last velocity (SG 2020, B.1)."""
+        group, simulator, config = self._group, self.simulator, self.config
+        s, scene, n = simulator.statistics, simulator.scene, self._group.n_rigid
+        end = start + H - 1
+        position, velocity = history_of(group, run, end)
+        coming = group.position[run, end + 1] - position
+        given = simulator.given_motion(coming[:n])
+        rate = simulator.rate(given)
+        if walk is not None:
+            std = config.noise_std * rate * s.velocity_std[1]
+            walk = walk.cumsum(axis=0) * std / np.sqrt(len(velocity))
+            walk[:, :n] = 0.0
+            position, velocity = position + walk.sum(axis=0), velocity + walk
+        context = group.context_at(end + 1, run)
+        graph = simulator.inputs(position, velocity, given, context, n)
+        target = coming / (rate * s.velocity_std[1])
+        weight = np.full(target.shape, 1.0 / (len(target) - n))
+        weight[:n] = 0.0
+        if scene.rigid_motion == RigidMotion.DRIVEN:
+            up = scene.up_axis
+            height = (coming[:n, up] - velocity[-1, :n, up]).mean() / s.height_std[0]
+            target[:n, up], weight[:n, up] = height, 1.0 / n
+        force = np.zeros(simulator.dim)
+        if scene.has_force:
+            force = (group.force[run, end + 1] - s.force_mean) / s.force_std
+        return graph, target, weight, force
+
+    def _batch(self, samples):
+        """Graphs side by side as one, with the index of the body's particles [B, R]."""
+        graphs, targets, weights, forces = zip(*samples)
+        n_node, n = len(targets[0]), self._group.n_rigid or len(targets[0])
+        first = np.arange(len(samples)) * n_node
+        ends = [
+            np.concatenate([graph[i] + shift for graph, shift in zip(graphs, first)])
+            for i in (2, 3)
+        ]
+        values = (*(np.concatenate([g[i] for g in graphs]) for i in (0, 1)), *ends)
+        values += (np.concatenate(targets), np.concatenate(weights), np.stack(forces))
+        types = (tf.float32, tf.float32, tf.int32, tf.int32, tf.float32, tf.float32, tf.float32)
+        tensors = [tf.constant(v, t) for v, t in zip(values, types)]
+        return (*tensors, tf.constant(first[:, None] + np.arange(n), tf.int32))
+
+    def _losses(self, nodes, edges, senders, receivers, target, weight, force, body):
+        predicted, forces = self.simulator.decode(nodes, edges, senders, receivers)
+        n_graph = tf.cast(tf.shape(force)[0], tf.float32)
+        motion = tf.reduce_sum((predicted - target) ** 2 * weight) / n_graph
+        if forces is None:
+            return {'loss': motion, 'loss_mse': motion}
+        pooled = tf.reduce_mean(tf.gather(forces, body), axis=1)
+        error = tf.reduce_sum((pooled - force) ** 2) / n_graph
+        return {'loss': motion + error, 'loss_mse': motion, 'loss_force_mse': error}
+
+    def _train_step(self, step, *batch):
+        variables = self.simulator.trainable_variables
+        with tf.GradientTape() as tape:
+            values = self._losses(*batch)
+        gradients = tape.gradient(values['loss'], variables)
+        if self._share:
+            gradients, values = self._share.mean((gradients, values))
+        self.optimizer.apply_gradients(zip(gradients, variables, strict=True))
+        self.averaging.update(step)
+        return values
 
 
 @dataclasses.dataclass
@@ -72,12 +283,12 @@ def train(data_path, model_path, config, options) -> dict:
     raw_path, share = options.raw_path, data_parallel.Share()
     metadata = dataset.read_metadata(data_path)
     read = [
-        runs.read_runs(data_path, raw_path, split, metadata, config.soil_particles)
+        read_runs(data_path, raw_path, split, metadata, config.soil_particles)
         for split in ('train', 'valid')
         if os.path.exists(dataset.split_path(data_path, split))
     ]
     model = make_model(data_path, metadata, read[0], config, options.rigid_motion)
-    source, scene = runs.RAW if raw_path else runs.DECODED, model.simulator.scene
+    source, scene = RAW if raw_path else DECODED, model.simulator.scene
     weights = sum(int(np.prod(v.shape)) for v in model.simulator.trainable_variables)
     training = loop.Training(
         model=model,
@@ -122,13 +333,13 @@ def open_model(model_path, data_path, split, overrides=None, raw_path=None) -> O
     scene, config = model.simulator.scene, model.simulator.config
     checkpoints.refuse_contradictions(model_path, config, overrides or {})
     source = checkpoints.read_config(model_path)['data']['source']
-    if source != (runs.RAW if raw_path else runs.DECODED):
+    if source != (RAW if raw_path else DECODED):
         raise ValueError(
             f'{model_path} was trained on particles of {source}: '
-            + ('give --raw_path' if source == runs.RAW else 'leave --raw_path out')
+            + ('give --raw_path' if source == RAW else 'leave --raw_path out')
         )
     metadata = dataset.read_metadata(data_path)
-    group = runs.read_runs(data_path, raw_path, split, metadata, config.soil_particles)
+    group = read_runs(data_path, raw_path, split, metadata, config.soil_particles)
     if group.position.shape[2] - group.n_rigid != scene.n_modes:
         raise ValueError(
             f'{data_path} has {group.position.shape[2] - group.n_rigid} thinned soil particles, '

@@ -12,7 +12,6 @@ import tensorflow as tf
 from scipy.spatial import cKDTree
 
 from learning_to_simulate.axes import height_of, without_height
-from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH
 from learning_to_simulate.normalization import Arrays, array, floored
 from learning_to_simulate.scene import RigidMotion, Scene
 from learning_to_simulate.subspace import graph_network
@@ -27,8 +26,8 @@ class ParticleStatistics(Arrays):
 
     Attributes:
       body_speed: mean RMS displacement of the rigid particles, m/frame; 1 where none moves.
-      velocity_std, acceleration_std: m/frame and m/frame²; where motion is counted per displacement
-        of the body, of that ratio times `body_speed`. Means are zero by choice: soil mostly rests.
+      velocity_std: m/frame; where motion is counted per displacement of the body, of that ratio
+        times `body_speed`. The mean is zero by choice: soil mostly rests.
       height_std: of the acceleration of the body's height, m/frame².
       low, high: box of the soil in the first frames, m: where the walls are.
       force_mean, force_std: N, or None.
@@ -37,7 +36,6 @@ class ParticleStatistics(Arrays):
 
     body_speed: np.ndarray = array('1')
     velocity_std: np.ndarray = array('2 D')
-    acceleration_std: np.ndarray = array('2 D')
     height_std: np.ndarray = array('1')
     low: np.ndarray = array('D')
     high: np.ndarray = array('D')
@@ -70,11 +68,8 @@ def compute_statistics(group, scene: Scene, rate_scaled: bool) -> ParticleStatis
     if rate_scaled:
         velocity = velocity / np.maximum(speeds / body_speed, RATE_FLOOR)[:, :, None, None]
     height = height_of(group.position[:, :, :n], scene.up_axis) if n else np.zeros((1, 3))
-
-    def std_of_rows(values):
-        rows = [values[:, :, :n], values[:, :, n:]] if n else [values, values]
-        return floored(np.stack([np.sqrt((row**2).mean(axis=(0, 1, 2))) for row in rows]))
-
+    rows = [velocity[:, :, :n], velocity[:, :, n:]] if n else [velocity, velocity]
+    stds = [np.sqrt((row**2).mean(axis=(0, 1, 2))) for row in rows]
     soil = group.position[:, 0, n:]
     further = {}
     if group.force is not None:
@@ -86,8 +81,7 @@ def compute_statistics(group, scene: Scene, rate_scaled: bool) -> ParticleStatis
         further['context_std'] = np.maximum(context.std(axis=0), 1e-9)
     return ParticleStatistics(
         body_speed=np.array([body_speed]),
-        velocity_std=std_of_rows(velocity),
-        acceleration_std=std_of_rows(np.diff(velocity, axis=1)),
+        velocity_std=floored(np.stack(stds)),
         height_std=np.maximum(np.diff(height, 2).std(), 1e-9).reshape(1),
         low=soil.min(axis=(0, 1)),
         high=soil.max(axis=(0, 1)),
@@ -194,13 +188,6 @@ class ParticleSimulator(snt.Module):
             return 1.0
         return float(max(_speed(body_velocity) / self.statistics.body_speed[0], RATE_FLOOR))
 
-    def base_and_std(self, velocity):
-        """Displacement [V, D] that the network's is added to, and scale [D] of what it says of the
-        soil, m/frame; of velocities [H - 1, V, D]."""
-        if self.config.mode_order == 2:
-            return velocity[-1], self.statistics.acceleration_std[1]
-        return np.zeros_like(velocity[-1]), self.statistics.velocity_std[1]
-
     def given_motion(self, displacement):
         """The given part of the body's true displacement [R, D]: all but its mean height where that
         is predicted."""
@@ -224,8 +211,7 @@ class ParticleSimulator(snt.Module):
         given = self.given_motion(body_displacement)
         graph = self.inputs(position, velocity, given, context, n_rigid)
         target, forces = (None if x is None else x.numpy() for x in self.decode(*graph))
-        base, std = self.base_and_std(velocity)
-        displacement = base + target * std * self.rate(given)
+        displacement = target * s.velocity_std[1] * self.rate(given)
         displacement[:n_rigid] = given
         if self.scene.rigid_motion == RigidMotion.DRIVEN:
             up = self.scene.up_axis
@@ -236,12 +222,6 @@ class ParticleSimulator(snt.Module):
             # Of the rigid particles, on which it acts; of all where there are none.
             force = forces[: n_rigid or None].mean(axis=0) * s.force_std + s.force_mean
         return displacement, force, len(graph[2])
-
-
-def history_of(group, run: int, end: int):
-    """Position [V, D] of frame `end` of a run and the velocities [H - 1, V, D] up to it."""
-    frames = group.position[run, end - INPUT_SEQUENCE_LENGTH + 1 : end + 1]
-    return frames[-1], np.diff(frames, axis=0)
 
 
 class ParticleNetwork(snt.Module):

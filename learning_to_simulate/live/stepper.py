@@ -41,16 +41,15 @@ class TfStep:
     def __init__(self, model, n_rigid: int):
         self._simulator, self._layout = model.simulator, model.layout(n_rigid)
         self._scene = scene = model.simulator.scene
-        self._correct = scene.rigid_motion == RigidMotion.PREDICTED
         # Of the newest frame and of the coming one: state, context, memory of the path. Of the
         # run: shape of a predicted body, modes at the start where the path is an input.
         self._newest: Any = None
         self._proposed: Any = None
         self._shape = self._start = None
         dim, shape = self._simulator.dim, (1, self._layout.n_node)
-        spec = tf.TensorSpec
+        spec, run = tf.TensorSpec, (None, None)
         body = spec((1, n_rigid, dim))
-        run = (None, None)
+        predicted = scene.rigid_motion == RigidMotion.PREDICTED
         if self._layout.memory is not None:
             run = spec((1, path_memory.WIDTH)), spec((1, scene.n_modes, dim))
         self._frame = tf.function(self._compute, jit_compile=True, autograph=False)
@@ -58,7 +57,7 @@ class TfStep:
             SimulatorState(spec((*shape, dim)), spec((*shape, H - 1, dim))),
             KnownMotion(body, body, *run) if scene.rigid_motion.is_known else None,
             spec((1, len(scene.context_names))) if scene.context_names else None,
-            spec((1, n_rigid, dim), tf.float64) if self._correct else None,
+            spec((1, n_rigid, dim), tf.float64) if predicted else None,
         )
 
     def reset(self, history, context) -> None:
@@ -66,8 +65,7 @@ class TfStep:
         layout, n, memory = self._layout, self._layout.n_rigid, None
         velocity = np.diff(history, axis=0).swapaxes(0, 1)
         state = SimulatorState(_batch(history[-1] - layout.origin), _batch(velocity))
-        if self._correct:
-            self._shape = shape_of(state.offset[:, :n], layout.origin[:n])
+        self._shape = shape_of(state.offset, layout, self._scene)
         if layout.memory is not None:
             self._start = state.offset[:, n:]
             memory = layout.memory.start(history[:1, :n])

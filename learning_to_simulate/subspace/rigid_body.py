@@ -6,6 +6,7 @@ from typing import NamedTuple
 import tensorflow as tf
 
 from learning_to_simulate.axes import without_height
+from learning_to_simulate.live import poses
 from learning_to_simulate.scene import RigidMotion, Scene
 
 
@@ -66,23 +67,19 @@ def rigid_correction(shape, position):
         [xy - yx, zx + xz, yz + zy, zz - xx - yy],
     ]
     _, vectors = tf.linalg.eigh(tf.stack([tf.stack(row, -1) for row in rows], 1))
-    w, x, y, z = tf.unstack(vectors[..., -1], axis=-1)
-    # R of q = (w, x, y, z); then x' = mean(b) + R a.
-    rotation = tf.stack(
-        [
-            tf.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], -1),
-            tf.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)], -1),
-            tf.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], -1),
-        ],
-        axis=1,
-    )
+    rows = poses.rotation_rows(*tf.unstack(vectors[..., -1], axis=-1))
+    rotation = tf.stack([tf.stack(row, -1) for row in rows], 1)
+    # x' = mean(b) + R a.
     return centroid + tf.einsum('bij,brj->bri', rotation, shape)
 
 
-def shape_of(offset, origin):
-    """Shape float64 [B, R, D], m, relative to its centroid, of bodies at offsets float32 [B, R, D]
-    from an origin float64 [R, D]."""
-    position = tf.cast(offset, tf.float64) + origin
+def shape_of(offset, layout, scene: Scene):
+    """Shape float64 [B, R, D], m, relative to its centroid, of bodies whose motion is predicted,
+    which they keep; of offsets float32 [B, V, D] of the nodes of a `Layout`. None of others."""
+    if scene.rigid_motion != RigidMotion.PREDICTED:
+        return None
+    n = layout.n_rigid
+    position = tf.cast(offset[:, :n], tf.float64) + layout.origin[:n]
     return position - tf.reduce_mean(position, axis=1, keepdims=True)
 
 

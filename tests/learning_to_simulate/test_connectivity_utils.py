@@ -23,8 +23,8 @@ def ring_edges(n_ring=2, n_point=8):
 
 def test_edge_counts_of_the_thesis():
     """Usmani & Skonieczny 2023: excavation 784 -> 188, wheel 576 -> 336 (Algorithm 2)."""
-    assert cu.fully_connected(28).n_edge == 784
-    assert cu.fully_connected(24).n_edge == 576
+    assert cu.build('fully_connected', scene(), 20).n_edge == 784
+    assert cu.build('fully_connected', scene(), 16).n_edge == 576
     velocities = np.random.default_rng(0).normal(size=(2, 50, 8, 3))
     blade = cu.algorithm2(scene(), 20, cu.rank_mode_edges(velocities, 28))
     assert blade.n_edge == 188

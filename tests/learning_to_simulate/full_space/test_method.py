@@ -8,14 +8,12 @@ import tensorflow as tf
 
 from learning_to_simulate import checkpoints, presets, registry
 from learning_to_simulate.full_space import method as particles
-from learning_to_simulate.full_space import runs
-from learning_to_simulate.full_space.method import ParticleEvaluator
+from learning_to_simulate.full_space.method import ParticleEvaluator, ParticleTrainer, read_runs
 from learning_to_simulate.full_space.simulator import (
     ParticleNetwork,
     neighbour_list,
     typical_radius,
 )
-from learning_to_simulate.full_space.training import ParticleTrainer
 from pca_tools import convert, dataset, files
 from tests.learning_to_simulate import models
 from tests.learning_to_simulate import synthetic as modes
@@ -41,7 +39,7 @@ def make(folder, raw=None, **overrides):
     """An untrained model with random weights and its training runs."""
     config = presets.make_config('full_space', **SHORT | overrides)
     metadata = dataset.read_metadata(folder)
-    group = runs.read_runs(folder, raw, 'train', metadata, config.soil_particles)
+    group = read_runs(folder, raw, 'train', metadata, config.soil_particles)
     model = particles.make_model(folder, metadata, group, config)
     rng = np.random.default_rng(0)
     for variable in model.simulator.trainable_variables:
@@ -159,11 +157,11 @@ def test_given_motion_is_followed_and_only_the_height_is_predicted(folders):
 def test_particles_are_those_of_the_raw_runs_or_decoded(folders):
     folder, raw = folders['excavation']
     metadata = dataset.read_metadata(folder)
-    whole = runs.read_runs(folder, raw, 'test', metadata, 70)
+    whole = read_runs(folder, raw, 'test', metadata, 70)
     case = metadata['cases']['test'][0]['case']
     stored = files.read_npz(f'{raw}/run_{case:03d}.npz')
     np.testing.assert_array_equal(whole.position[0, :, 20:], stored['positions'][:, ::2])
-    decoded = runs.read_runs(folder, None, 'test', metadata, 70)
+    decoded = read_runs(folder, None, 'test', metadata, 70)
     error = ((decoded.position - whole.position)[:, :, 20:] ** 2).mean()
     # Half of the particles: their error is like the mean of all, within a factor of two.
     assert 0.5 < error / np.mean(metadata['projection_mse']['test']) < 2.0
@@ -185,7 +183,7 @@ def test_command_trains_and_rolls_out(folders, tmp_path):
     summary = json.loads((tmp_path / 'out' / 'metrics.json').read_text())
     values = files.read_npz(f'{out}/rollout_test_0.npz')
     error = (values['predicted_rollout'] - values['ground_truth_rollout']).astype(float)
-    soil = error[:, values['particle_types'] == runs.SOIL_TYPE]
+    soil = error[:, values['particle_types'] == particles.SOIL_TYPE]
     row = summary['runs']['model'][0]
     assert row['soil_mse'] == pytest.approx((soil**2).mean(), rel=1e-3, abs=1e-12)
     assert row['peak_memory_mb'] > 50 and row['edges'] > 100
@@ -224,14 +222,14 @@ def test_bad_data_is_refused(folders, tmp_path):
     few = synthetic.write_raw_folder(str(tmp_path / 'few'), 'excavation', [1])
     for path, message in ((few, 'lacks the runs'), (folders['wheel'][1], 'of another dataset')):
         with pytest.raises(ValueError, match=message):
-            runs.read_runs(folder, path, 'train', metadata, 60)
+            read_runs(folder, path, 'train', metadata, 60)
     with pytest.raises(FileNotFoundError, match='no such folder of raw runs'):
-        runs.read_runs(folder, str(tmp_path / 'gone'), 'train', metadata, 60)
+        read_runs(folder, str(tmp_path / 'gone'), 'train', metadata, 60)
     with pytest.raises(ValueError, match='soil_particles is 200, but the runs have 140'):
-        runs.read_runs(folder, raw, 'train', metadata, 200)
+        read_runs(folder, raw, 'train', metadata, 200)
     alone = modes.write_dataset(tmp_path / 'alone')
     with pytest.raises(FileNotFoundError, match='needs the raw runs'):
-        runs.read_runs(alone, None, 'train', dataset.read_metadata(alone), 60)
+        read_runs(alone, None, 'train', dataset.read_metadata(alone), 60)
     with pytest.raises(ValueError, match='soil_particles is 0'):
         presets.make_config('full_space', soil_particles=0)
     with pytest.raises(ValueError, match='no settings .*unroll_steps'):
