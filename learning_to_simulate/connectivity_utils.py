@@ -134,9 +134,9 @@ def _best(score, keep):
 
 def build(kind: str, scene: Scene, n_rigid: int, mode_mask=None, loaded_mask=None) -> Adjacency:
     """The adjacency for a graph of R rigid particles and r modes of a scene, of a kind of
-    `TrainConfig.adjacency`: 'fully_connected' (all V² edges, self-edges included; Haeri &
-    Skonieczny 2021) and 'none' need no mask, a `mode_mask` bool [r, r] is completed by Algorithm 2, and a
-    `loaded_mask` bool [V, V] of a file is used as it is (ValueError where it does not fit V)."""
+    `TrainConfig.adjacency`: 'fully_connected' (all V² edges, self-edges included, as in Haeri &
+    Skonieczny 2021) and 'none' need no mask, a `mode_mask` bool [r, r] is completed by Algorithm 2,
+    a `loaded_mask` bool [V, V] is used as it is (ValueError where it does not fit V)."""
     n_node = n_rigid + scene.n_modes
     if kind in ('fully_connected', 'none'):
         return Adjacency.from_mask(np.full((n_node, n_node), kind != 'none'))

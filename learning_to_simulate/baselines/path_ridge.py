@@ -408,12 +408,10 @@ class _Samples:
         self.y = np.concatenate(
             [v if self.offsets[n] is None else v - self.offsets[n] for n, v in y.items()], axis=1
         )
-        runs = np.arange(sum(len(g.position) for g in groups))
-        ends = np.cumsum([len(g.position) for g in groups])[:-1]
+        number = itertools.count()
         self.run = self._taken(
-            [np.repeat(own[:, None], g.position.shape[1], 1)
-             for own, g in zip(np.split(runs, ends), groups, strict=True)]
-        )  # fmt: skip
+            [[np.full(len(run), next(number)) for run in g.position] for g in groups]
+        )
 
     def _taken(self, groups):
         runs = (run for values in groups for run in values)

@@ -105,10 +105,10 @@ class StepFunctions:
         files.write_npz(os.path.join(folder, 'sample.npz'), **arrays)
         signatures = {
             name: {
-                'inputs': _rows(found.structured_input_signature[1]),
-                'outputs': _rows(found.structured_outputs),
+                'inputs': _rows(calls[0][0]),
+                'outputs': _rows(functions[name].structured_outputs),
             }
-            for name, found in functions.items()
+            for name, calls in samples.items()
         }
         return {'signatures': signatures, 'load_s': seconds, 'compared': compared}
 

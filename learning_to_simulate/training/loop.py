@@ -195,33 +195,25 @@ def _log_rollout(summary, step, bar):
 
 
 class StopSignals:
-    """Notes the first SIGINT or SIGTERM inside a `with` block; a second one acts as usual.
+    """Notes the first SIGINT or SIGTERM inside a `with` block as its `number`; a second one acts as
+    usual. Outside of the main thread, where Python cannot handle signals, nothing is noted."""
 
-    Outside of the main thread, where Python cannot handle signals, nothing is noted.
-
-    Attributes:
-      number: the signal that came, or None.
-    """
-
-    def __init__(self):
-        self.number = None
-        self._before = {}
+    number: int | None = None
 
     @property
     def exit_code(self) -> int:
         """What a shell expects: 130 for Ctrl-C, 143 for SIGTERM."""
-        return 128 + self.number
+        return 128 + (self.number or 0)
 
     def __enter__(self) -> 'StopSignals':
-        if threading.current_thread() is threading.main_thread():
-            for number in (signal.SIGINT, signal.SIGTERM):
-                self._before[number] = signal.signal(number, self._note)
+        is_main = threading.current_thread() is threading.main_thread()
+        numbers = (signal.SIGINT, signal.SIGTERM) if is_main else ()
+        self._before = {number: signal.signal(number, self._note) for number in numbers}
         return self
 
     def __exit__(self, *_):
         for number, handler in self._before.items():
             signal.signal(number, handler)
-        self._before = {}
 
     def _note(self, number, _):
         self.number = number
