@@ -116,7 +116,7 @@ def setup(frames: RolloutFrames, plane: str | None, drawn: np.ndarray) -> ViewSe
         limits=limits,
         vmax=vmax,
         newtons_per_metre=strongest / length,
-        key_force=_round_down(strongest / 2),
+        key_force=_round_up(strongest / 3),
         spacing=spacing,
     )
 
@@ -137,12 +137,6 @@ def _round_up(value: float) -> float:
     """The next of 1, 1.5, 2, 3, 4, 5, 6, 8 times a power of ten."""
     power = 10.0 ** np.floor(np.log10(value)) if value > 0 else 1.0
     return float(next(s for s in (1, 1.5, 2, 3, 4, 5, 6, 8, 10) if s * power >= value) * power)
-
-
-def _round_down(value: float) -> float:
-    """The last of 1, 2, 5 times a power of ten."""
-    power = 10.0 ** np.floor(np.log10(value))
-    return float(max(s for s in (1, 2, 5) if s * power <= value * (1 + 1e-9)) * power)
 
 
 class ParticleView:

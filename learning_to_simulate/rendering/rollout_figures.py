@@ -284,14 +284,15 @@ class _Page:
     ):
         frames = models[0]
         self._n_rows, self._view = n_rows, view
-        width = WIDTH - _LEFT - _RIGHT - _GAP * (n_columns - 1)
-        self._view_width = width / n_columns
-        self._view_height = self._view_width * view.aspect
+        width = (WIDTH - _LEFT - _RIGHT - _GAP * (n_columns - 1)) / n_columns
+        self._view_height = width * view.aspect
         views = n_rows * self._view_height + (n_rows - 1) * _ROW_GAP
-        gap = _CURVE_GAP + _LEGEND_ROW * max(len(models) - 2, 0)
-        self._height = _TOP + views + gap + _CURVE_HEIGHT + _BOTTOM
+        below = _CURVE_GAP + _LEGEND_ROW * max(len(models) - 2, 0) + _CURVE_HEIGHT + _BOTTOM
+        self._height = _TOP + views + below
         self.figure = Figure(figsize=(WIDTH, self._height), dpi=dpi, facecolor='white')
         self.canvas = FigureCanvasAgg(self.figure)
+        gaps = {'wspace': _GAP / width, 'hspace': _ROW_GAP / self._view_height}
+        self._views = self._grid(n_rows, n_columns, _RIGHT, below, below + views, **gaps)
         size = _TITLE_SIZE * min(1.0, _TITLE_LENGTH / len(frames.title))
         self._text(self._height - 0.24, frames.title, fontsize=size, fontweight='bold')
         self.caption = self._text(self._height - 0.62, '', fontsize=_CAPTION_SIZE)
@@ -299,9 +300,7 @@ class _Page:
 
     def view_axes(self, row: int, column: int, title: str, row_label: str = '') -> Axes:
         """Axes of one view; only the outer ones carry labels."""
-        left = _LEFT + column * (self._view_width + _GAP)
-        bottom = self._row_bottom(row)
-        axes = self._add_axes(left, bottom, self._view_width, self._view_height)
+        axes = self.figure.add_subplot(self._views[row, column])
         names = ['xyz'[axis] for axis in self._view.plane]
         axes.set_facecolor('#f7f8fa')
         axes.locator_params(nbins=5)
@@ -319,9 +318,8 @@ class _Page:
         return axes
 
     def add_color_bar(self, first_row: int, last_row: int, color_by: str) -> None:
-        bottom = self._row_bottom(last_row)
-        height = self._row_bottom(first_row) + self._view_height - bottom
-        axes = self._add_axes(WIDTH - _RIGHT + 0.12, bottom, 0.13, height)
+        rows = self._views[first_row : last_row + 1, -1].get_position(self.figure)
+        axes = self.figure.add_axes((rows.x1 + 0.12 / WIDTH, rows.y0, 0.13 / WIDTH, rows.height))
         scale = ScalarMappable(Normalize(0.0, self._view.vmax[color_by]), COLOR_MAPS[color_by])
         bar = self.figure.colorbar(scale, cax=axes, extend='max')
         bar.set_label(COLOR_LABELS[color_by])
@@ -331,25 +329,23 @@ class _Page:
         """Axes below the views, side by side, with force and error where there are any."""
         draws = [_draw_force] * (models[0].force is not None)
         draws += [_draw_errors] * models[0].has_truth
-        gap, found = 0.75, []
-        width = (WIDTH - _LEFT - 0.25 - gap * (len(draws) - 1)) / max(len(draws), 1)
-        for column, draw in enumerate(draws):
-            axes = self._add_axes(_LEFT + column * (width + gap), _BOTTOM, width, _CURVE_HEIGHT)
+        count, top = len(draws), _BOTTOM + _CURVE_HEIGHT
+        grid = self._grid(1, max(count, 1), 0.25, _BOTTOM, top, wspace=0.2)
+        found = [self.figure.add_subplot(grid[0, k]) for k in range(count)]
+        for axes, draw in zip(found, draws, strict=True):
             axes.grid(True)
             axes.set(xlim=(0.0, models[0].time[-1]))
             axes.set_xlabel('time (s)', labelpad=1)
             draw(axes, models)
-            found.append(axes)
         return found
-
-    def _row_bottom(self, row: int) -> float:
-        return self._height - _TOP - (row + 1) * self._view_height - row * _ROW_GAP
 
     def _text(self, y: float, text: str, **style):
         place = (0.2 / WIDTH, y / self._height)
         return self.figure.text(*place, text, verticalalignment='center', **style)
 
-    def _add_axes(self, left: float, bottom: float, width: float, height: float) -> Axes:
-        return self.figure.add_axes(
-            (left / WIDTH, bottom / self._height, width / WIDTH, height / self._height)
-        )
+    def _grid(self, n_rows, n_columns, right, low, high, **gaps):
+        """Places of axes between heights and beside margins, in inches."""
+        return self.figure.add_gridspec(
+            n_rows, n_columns, left=_LEFT / WIDTH, right=1 - right / WIDTH,
+            bottom=low / self._height, top=high / self._height, **gaps,
+        )  # fmt: skip

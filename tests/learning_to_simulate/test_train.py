@@ -219,25 +219,6 @@ def test_number_of_steps_is_that_of_both_stages():
     assert presets.make_config('pcg', num_steps=300, unroll_steps=50).single_steps == 250
 
 
-@pytest.mark.parametrize(
-    ('preset', 'settings', 'message'),
-    [
-        ('gns', {}, 'unknown preset'),
-        ('mlp', {'model': 'path_ridge'}, "preset 'mlp' is one of .*, not of 'path_ridge'"),
-        ('path_ridge', {'model': 'gns'}, "preset 'path_ridge' is one of .*, not of 'gns'"),
-        ('pcg', {'rate_scaled': True, 'mode_order': 2}, 'rate_scaled'),
-        ('pcg', {'weight_average': 1.0}, 'weight_average'),
-        ('pcg', {'mode_order': 3}, 'mode_order'),
-        ('pcg', {'batch_size': 0}, 'batch_size'),
-        ('pcg', {'num_steps': 30, 'unroll_steps': 50}, 'unroll_steps is 50, more than all 30'),
-    ],
-)
-def test_impossible_settings_are_refused(preset, settings, message):
-    with pytest.raises(ValueError, match=message):
-        presets.make_config(preset, **settings)
-    assert presets.make_config('mixer_se', model='mixer_scse').model == 'mixer_scse'
-
-
 def test_validation_rollout_that_blows_up_does_not_stop_training(data, tmp_path, monkeypatch):
     """Its errors have no number in the summary; the weights are saved all the same. It is judged on
     valid runs, which are in no batch, by the limit of the force that lies beside the weights."""

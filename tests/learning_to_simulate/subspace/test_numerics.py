@@ -71,6 +71,14 @@ GATED = {'gate_weight': 0.1}
 @pytest.mark.parametrize(
     ('preset', 'fields', 'words'),
     [
+        ('gns', {}, 'unknown preset'),
+        ('mlp', {'model': 'path_ridge'}, "preset 'mlp' is one of .*, not of 'path_ridge'"),
+        ('path_ridge', {'model': 'gns'}, "preset 'path_ridge' is one of .*, not of 'gns'"),
+        ('pcg', {'rate_scaled': True, 'mode_order': 2}, 'rate_scaled'),
+        ('pcg', {'weight_average': 1.0}, 'weight_average'),
+        ('pcg', {'mode_order': 3}, 'mode_order'),
+        ('pcg', {'batch_size': 0}, 'batch_size'),
+        ('pcg', {'num_steps': 30, 'unroll_steps': 50}, 'unroll_steps is 50, more than all 30'),
         ('pcg', {'mode_order': 0, 'rate_scaled': False}, 'only an MLP of the style ours'),
         ('mlp_driven', {'style': 'published'}, 'only an MLP of the style ours'),
         ('pcg', {'model': 'lstm'}, "unknown model 'lstm'; there are gns, mlp"),
@@ -88,6 +96,7 @@ GATED = {'gate_weight': 0.1}
 def test_impossible_settings_are_refused(preset, fields, words):
     with pytest.raises(ValueError, match=words):
         presets.make_config(preset, **fields)
+    assert presets.make_config('mixer_se', model='mixer_scse').model == 'mixer_scse'
 
 
 @pytest.mark.parametrize('force', [0.0, 37.5])
