@@ -28,7 +28,7 @@ def judged(made, position=None, force=None, group=None):
     s = model.simulator
     group = whole.select(0) if group is None else group
     position = group.position[:, H:] if position is None else position
-    return judge(group, position, force, s.statistics, s.scene)[0]
+    return judge(group, position, force, s.statistics, s.scene, force_limit=100.0)[0]
 
 
 def changed(made, **fields):
@@ -54,6 +54,8 @@ def add(index, value):
 PREDICTED = {
     'NaN position': ('position', add((0, 3, 5, 1), np.nan), ('non_finite', 9, 5)),
     'infinite force': ('force', add((0, 7, 2), np.inf), ('non_finite', 13, -1)),
+    'force above twice the largest': ('force', add((0, 7, 2), 201.0), ('left_bounds', 13, -1)),
+    'force whose square is infinite': ('force', add((0, 7, 0), 1e20), ('left_bounds', 13, -1)),
     'mode far away': ('position', add((0, 20, 6, 0), 1e3), ('left_bounds', 26, 6)),
     'predicted height': ('position', add((0, 4, 0, 1), -9.0), ('left_bounds', 10, 0)),
     'NaN after far away': ('position', add((0, 2), np.inf), ('non_finite', 8, 0)),
@@ -64,7 +66,9 @@ PREDICTED = {
 def test_fault_of_a_prediction_is_found_where_it_is(made, case):
     which, change, expected = case
     group = made[1][0].select(0)
-    arrays = {'position': group.position[:, H:].copy(), 'force': group.force[:, H:].copy()}
+    force = np.zeros_like(group.force[:, H:], dtype=np.float32)
+    force[:, :7, 1] = 199.0  # less than twice the largest
+    arrays = {'position': group.position[:, H:].copy(), 'force': force}
     change(arrays[which])
     found = judged(made, **arrays)
     assert (str(found.status), found.frame, found.node) == expected

@@ -37,12 +37,13 @@ def steppers(made):
 
 
 def _reset(stepper, group):
-    return stepper.reset(group.position[0, :H], None if group.context is None else group.context[0])
+    return stepper.reset(group.position[0, :H], group.context_at(H - 1, 0))
 
 
 CASES = {
     'prescribed': {},
     'driven': {'motion': 'driven', 'context': True},
+    'driven, changing context': {'motion': 'driven', 'context': 'changing'},
     'predicted and corrected': {
         'motion': 'predicted', 'preset': 'pcg_thesis', 'rigid_counts': (6,)
     },
@@ -70,7 +71,8 @@ def test_equals_the_rollout_frame_by_frame(tmp_path, case):
         assert stepper.engine.startswith('C (' if kind == 'best' else 'TensorFlow')
         _reset(stepper, group)
         for k, truth in enumerate(group.position[0, H:, :n]):
-            frame = stepper.step(truth if known else None)
+            context = group.context_at(H + k, 0) if group.context_changes else None
+            frame = stepper.step(truth if known else None, context)
             got = np.concatenate([frame.rigid_pose, frame.modes])
             # Round-off of an untrained network over 34 frames: see test_rollout.
             np.testing.assert_allclose(got, expected.position[0, k], atol=3e-5 * scale)
