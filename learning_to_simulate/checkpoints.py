@@ -4,7 +4,7 @@
   weights.npz    weights for evaluation (moving averages where the config has them): arrays only,
                  no code, no pickle
   start.npz, subspace.npz   what the model needs to run without its dataset (`live.starts`)
-  ckpt-<step>.npz   weights, optimiser and averages, to resume training (`training_state`)
+  ckpt-<step>.npz   weights, optimiser and averages, to resume training (`training.loop`)
 
 A folder that ships with the project holds no checkpoints. What is here is the same for models of
 all methods.

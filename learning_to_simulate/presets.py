@@ -28,7 +28,7 @@ _PUBLISHED = {
 # A network that takes the whole state at once: the training of `pcg` without its graph.
 _WHOLE_STATE = {'adjacency': 'none', 'mode_edges': 0}
 
-_OF_NETWORKS = {
+PRESETS: dict[str, Any] = {
     # Haeri & Skonieczny 2021: full graph with self-edges, dataset-wide statistics, noise 6.7e-4.
     'fcg_original': TrainConfig(
         'fcg_original',
@@ -81,15 +81,13 @@ _OF_NETWORKS = {
         num_steps=5000,
         decay_steps=2500.0,
     ),
-}
-# A baseline without dynamics: regression on the path.
-_RIDGES = {
+    **soil_field_settings.PRESETS,
+    # A baseline without dynamics: regression on the path.
     'path_ridge': PathRidgeConfig('path_ridge'),
     'path_ridge_few_runs': PathRidgeConfig(
         'path_ridge_few_runs', max_samples=1500, leave_one_out=True
     ),
 }
-PRESETS: dict[str, Any] = _OF_NETWORKS | soil_field_settings.PRESETS | _RIDGES
 
 
 def preset_of_model(model: str | None) -> str:

@@ -1,11 +1,11 @@
 """Sinkage, drawbar and torque of a wheel by Bekker, Wong and Janosi, as in the Soil Contact Model.
 
 Normal stress under a point that is pressed in by z: p = (k_c / b + k_phi) z^n (Bekker 1969; Wong
-2008, Theory of Ground Vehicles, ch. 2). Shear stress after a shear displacement j:
-tau = (c + p tan phi)(1 - exp(-j / K)) (Janosi & Hanamoto 1961). The Soil Contact Model (Krenn &
-Hirzinger 2009; Chrono's SCM) applies both to a height map: soil that was pressed in stays so, and
-comes back elastically only. Here the map is a row of bins along the travel, the wheel a rigid
-cylinder, and its height in every frame the one at which the soil bears the load.
+2008, Theory of Ground Vehicles, ch. 2). Shear stress of a soil without cohesion after a shear
+displacement j: tau = p tan phi (1 - exp(-j / K)) (Janosi & Hanamoto 1961). The Soil Contact Model
+(Krenn & Hirzinger 2009; Chrono's SCM) applies both to a height map: soil that was pressed in stays
+so, and comes back elastically only. Here the map is a row of bins along the travel, the wheel a
+rigid cylinder, and its height in every frame the one at which the soil bears the load.
 
 In the steady state this is Wong & Reece's (1967) integral over the contact arc, with no contact
 behind the lowest point, but for j: they follow a point of the rim, the Soil Contact Model a point
@@ -37,7 +37,6 @@ class TerrainParameters:
     k_phi: float = 1528.43e3  # frictional modulus, N/m^(n+2)
     n: float = 1.1  # exponent of sinkage
     shear_modulus: float = 0.01  # K, m
-    cohesion: float = 0.0  # Pa
     elastic: float = 20.0  # stiffness of unloading over p(z) / z of the point at its deepest
 
 
@@ -120,8 +119,7 @@ class Bed:
     def forces(self, sinkage: float):
         """Forward and upward force, N, and torque per radius, N, at a sinkage (m)."""
         pressure = self._pressure(sinkage)
-        strength = self._parameters.cohesion + pressure * self._friction
-        tau = np.where(pressure > 0, strength, 0.0) * self._shear
+        tau = pressure * self._friction * self._shear
         # A bin's share of the rim is area / cosine; stresses turn with the rim.
         tangent = self._sine / self._cosine
         return (

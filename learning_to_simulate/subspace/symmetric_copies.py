@@ -102,15 +102,6 @@ def _shifted(group, shift, rest, axis, across, middle):
 
 def _joined(groups):
     """One group of all; what training does not read of them is that of the first."""
-    return dataclasses.replace(
-        groups[0],
-        **{
-            name: None
-            if getattr(groups[0], name) is None
-            else np.concatenate([getattr(g, name) for g in groups])
-            for name in ('position', 'force', 'context', 'record')
-        },
-        body=None,
-        kept=None,
-        left_modes=None,
-    )
+    parts = {n: [getattr(g, n) for g in groups] for n in ('position', 'force', 'context', 'record')}
+    joined = {n: None if part[0] is None else np.concatenate(part) for n, part in parts.items()}
+    return dataclasses.replace(groups[0], **joined, body=None, kept=None, left_modes=None)

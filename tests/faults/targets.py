@@ -24,7 +24,7 @@ from learning_to_simulate.soil_field import digs, field
 from learning_to_simulate.soil_field.terrain import Terrain
 from learning_to_simulate.soil_field.tools import Blade
 from learning_to_simulate.subspace import edge_lists, subspace_model
-from learning_to_simulate.training import training_state
+from learning_to_simulate.training import loop
 from mpm import bodies
 from nri import data as nri_data
 from nri import model as nri_model
@@ -205,7 +205,7 @@ def _possible_kipf(data):
 def _write_checkpoints(folder):
     for step in (8, 12):
         values = np.arange(200.0) + step
-        files.write_npz(training_state.file_of(folder, step), values=values, step=np.array(step))
+        files.write_npz(loop.file_of(folder, step), values=values, step=np.array(step))
 
 
 def _possible_checkpoint(value):
@@ -426,7 +426,7 @@ TARGETS = (
            tuple(f'{n}_train_springs3.npy' for n in ('loc', 'vel', 'edges')),
            lambda folder: nri_data.load(folder, 'train'), _possible_kipf),
     Target('checkpoints', Promise.OPEN, _write_checkpoints, ('ckpt-8.npz', 'ckpt-12.npz'),
-           training_state.newest, _possible_checkpoint),
+           loop.newest, _possible_checkpoint),
     # MPM-NGF and VTP keep folders of files, the bench single ones.
     _import('deepmind', ('train.tfrecord', 'metadata.json')),
     _import('geoelements', ('train.npz', 'metadata.json')),

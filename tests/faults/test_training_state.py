@@ -19,7 +19,7 @@ import tensorflow as tf
 from learning_to_simulate import presets, reading_utils, registry
 from learning_to_simulate.subspace import method
 from learning_to_simulate.subspace.trainer import Trainer
-from learning_to_simulate.training import loop, training_state
+from learning_to_simulate.training import loop
 from pca_tools import dataset, files
 from pca_tools.storage import folder_lock, whole_files
 from tests.faults.small import cheap_step
@@ -128,7 +128,7 @@ def test_damaged_newest_checkpoint_gives_way_to_the_one_before(whole, model, tra
     assert 'skipped the damaged checkpoint of step 12' in out
     assert f'resumed {model} at step 8' in out
     assert_same_weights(whole, model)
-    assert training_state.stored_steps(str(model)) == [12, 8]
+    assert loop.stored_steps(str(model)) == [12, 8]
     assert list(model.glob('ckpt-12.npz.damaged'))
 
 
@@ -176,7 +176,7 @@ def test_end_within_the_first_save_goes_on(whole, data, tmp_path, monkeypatch, s
     path = str(tmp_path / 'model')
     place, name = {
         'weights': (loop.checkpoints, 'save_weights'),
-        'checkpoint': (training_state.TrainingState, 'save'),
+        'checkpoint': (loop.TrainingState, 'save'),
     }[writer]
     monkeypatch.setattr(Trainer, 'step', cheap_step)
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
@@ -199,7 +199,7 @@ def test_second_ctrl_c_ends_at_once(tmp_path, train, monkeypatch):
             train(tmp_path / 'model')
     finally:
         signal.signal(signal.SIGINT, before)
-    assert training_state.stored_steps(str(tmp_path / 'model')) == [4]
+    assert loop.stored_steps(str(tmp_path / 'model')) == [4]
     assert not (tmp_path / 'model' / '.lock.json').exists()
 
 
@@ -210,14 +210,14 @@ def test_full_disk_stops_training_and_keeps_the_checkpoint(tmp_path, train, monk
         monkeypatch.setattr(Trainer, 'step', fill)
         with pytest.raises(OSError, match='model'):
             train(tmp_path / 'model')
-    assert training_state.stored_steps(str(tmp_path / 'model')) == [4]
-    assert training_state.newest(str(tmp_path / 'model'))[0] == 4
+    assert loop.stored_steps(str(tmp_path / 'model')) == [4]
+    assert loop.newest(str(tmp_path / 'model'))[0] == 4
     assert not [n for n in os.listdir(tmp_path / 'model') if n.endswith('.tmp')]
 
 
 def test_checkpoint_on_a_full_disk_says_so(model, data):
     """The checkpoint itself, without the weights that are written before it."""
-    state = training_state.TrainingState(str(model), make_trainer(data))
+    state = loop.TrainingState(str(model), make_trainer(data))
     state.restore()
     before = sorted(os.listdir(model))
     with (
@@ -251,7 +251,7 @@ def test_nan_loss_names_step_and_batch_and_keeps_the_last_good(tmp_path, train, 
     path = tmp_path / 'model'
     with pytest.raises(ValueError, match=r'loss is nan at step 6, batch .* \[\(\d+, \d+\), \('):
         train(path)
-    assert training_state.stored_steps(str(path)) == [4]
+    assert loop.stored_steps(str(path)) == [4]
     assert all(np.isfinite(value).all() for value in weights(path).values())
 
 
@@ -259,7 +259,7 @@ def test_nan_loss_names_step_and_batch_and_keeps_the_last_good(tmp_path, train, 
 def test_variables_that_are_not_finite_are_never_saved(model, data, what):
     """Also where the loss that produced them was finite."""
     trainer = make_trainer(data)
-    state = training_state.TrainingState(str(model), trainer)
+    state = loop.TrainingState(str(model), trainer)
     state.restore()
     variable = {
         'weight': trainer.simulator.trainable_variables[0],

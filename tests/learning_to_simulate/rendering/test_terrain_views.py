@@ -35,7 +35,6 @@ def test_section_map_and_force_are_those_of_the_arrays():
         'ground_truth_forces': np.tile([20.0, 5.0, 0], (9, 1)),
         'case': np.array('lift_0001'),
     }
-    figure = terrain_views.figure(arrays(**truth), [1, 2], 50)
     points = np.zeros((3, 4, 3))
     truth |= {'predicted_particles': points, 'ground_truth_particles': points + 0.002}
     figure = terrain_views.figure(arrays(**truth), [1, 2], 50)

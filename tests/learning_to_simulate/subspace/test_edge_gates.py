@@ -19,7 +19,7 @@ from learning_to_simulate.subspace.edge_gates import (
     EdgeGates,
 )
 from learning_to_simulate.subspace.trainer import Trainer
-from learning_to_simulate.training import training_state
+from learning_to_simulate.training import loop
 from pca_tools import files
 from tests.learning_to_simulate import models, synthetic
 
@@ -48,7 +48,7 @@ def trained(data, tmp_path_factory):
         self.log_alpha.assign(np.where(np.arange(9).reshape(3, 3) % 2, -3.0, 3.0))
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(training_state, 'KEPT', 3)
+        patch.setattr(loop, 'KEPT', 3)
         patch.setattr(EdgeGates, '__init__', with_five)
         with models.eagerly():
             registry.train(data, path, presets.make_config('pcg', **GATED), save_every=10)
@@ -158,7 +158,7 @@ def test_training_resumes_to_the_same_weights_and_edges(data, trained, tmp_path,
     for name in ('weights.npz', 'edges.json', *(p.name for p in path.glob('ckpt-*'))):
         if not name.startswith(f'ckpt-{step}.'):
             (path / name).unlink()
-    assert training_state.stored_steps(str(path)) == [step]
+    assert loop.stored_steps(str(path)) == [step]
     with models.eagerly():
         registry.train(data, str(path), presets.make_config('pcg', **GATED), save_every=10)
     for name in ('edges.json', 'config.json'):
