@@ -57,25 +57,18 @@ def test_a_second_call_finds_the_model_done_and_another_one_is_refused(trained):
         registry.train(data, model, presets.make_config('path_ridge', max_samples=61))
 
 
-def damage_scene(folder, config):
-    del config['scene']['dt']
-
-
-def damage_outputs(folder, config):
-    config['method']['outputs']['soil'] = []
-
-
-def damage_arrays(folder, config):
-    path = str(folder / method_lib.ARRAYS_FILE)
-    arrays = files.read_npz(path)
-    files.write_npz(path, **arrays | {'soil/0/scale': arrays['soil/0/scale'][:-1]})
-
-
-@pytest.mark.parametrize('damage', [damage_scene, damage_outputs, damage_arrays])
-def test_damaged_folders_are_refused(trained, tmp_path, damage):
+@pytest.mark.parametrize('part', ['scene', 'outputs', 'arrays'])
+def test_damaged_folders_are_refused(trained, tmp_path, part):
     copy = shutil.copytree(trained[1], tmp_path / 'copy')
     config = json.loads((copy / 'config.json').read_text())
-    damage(copy, config)
+    if part == 'scene':
+        del config['scene']['dt']
+    elif part == 'outputs':
+        config['method']['outputs']['soil'] = []
+    else:
+        path = str(copy / method_lib.ARRAYS_FILE)
+        arrays = files.read_npz(path)
+        files.write_npz(path, **arrays | {'soil/0/scale': arrays['soil/0/scale'][:-1]})
     (copy / 'config.json').write_text(json.dumps(config))
     with pytest.raises(ValueError, match='missing, unknown or wrong'):
         method_lib.load(str(copy))

@@ -105,18 +105,22 @@ def test_training_windows_hold_the_force_on_each(made):
     np.testing.assert_allclose(force[:, H], expected, rtol=1e-4, atol=1e-5)
 
 
-def test_rollout_files_hold_the_total_and_each(made, tmp_path):
+def test_files_and_errors_are_of_the_force_on_each(made, tmp_path):
+    """Half a newton too much on the one and too little on the other: the total is right."""
     model, group = made
-    position, force = group.position[:1, H:], group.force[:1, H:].astype(np.float32)
-    result = rollout.Rollout(position, force, [rollout.Judgement(rollout.RolloutStatus.OK)], 1.0)
-    written = evaluation.save_rollouts(
-        str(tmp_path), 'test', [(0, group.select(0), result)], {}, {}
-    )
-    arrays = files.read_npz(written[0])
+    off = np.repeat([[0.5, -0.5]], 3, axis=1)
+    result = rollout.Rollout(
+        group.position[:1, H:], (group.force[:1, H:] + off).astype(np.float32),
+        [rollout.Judgement(rollout.RolloutStatus.OK)], 1.0,
+    )  # fmt: skip
+    results = [(0, group.select(0), result)]
+    summary = evaluation.summarise(results, model, {}, 'test')
+    assert summary['mean']['model']['force_rmse'] == pytest.approx(0.5, rel=1e-5)
+    arrays = files.read_npz(evaluation.save_rollouts(str(tmp_path), 'test', results, {}, {})[0])
     each, total = arrays['predicted_body_forces'], arrays['predicted_forces']
-    assert each.shape == (position.shape[1], 2, 3)
-    np.testing.assert_allclose(each.sum(axis=1), total, rtol=1e-5)
-    np.testing.assert_allclose(arrays['ground_truth_forces'], total, rtol=1e-5)
+    assert each.shape == (len(total), 2, 3)
+    np.testing.assert_allclose(each.sum(axis=1), total, atol=1e-4)
+    np.testing.assert_allclose(arrays['ground_truth_forces'], total, atol=1e-4)
 
 
 def test_live_steps_by_particles_give_the_force_on_each(made):
@@ -159,15 +163,3 @@ def test_damaged_numbers_of_bodies_are_refused(made):
     wrong = dataclasses.replace(statistics, force_mean=np.zeros(5), force_std=np.ones(5))
     with pytest.raises(ValueError, match='force_mean'):
         wrong.check(scene)
-
-
-def test_errors_are_of_the_force_on_each(made):
-    """Half a newton too much on the one and too little on the other: the sum would be right."""
-    model, group = made
-    off = np.repeat([[0.5, -0.5]], 3, axis=1)
-    result = rollout.Rollout(
-        group.position[:1, H:], group.force[:1, H:] + off,
-        [rollout.Judgement(rollout.RolloutStatus.OK)], 1.0,
-    )  # fmt: skip
-    summary = evaluation.summarise([(0, group.select(0), result)], model, {}, 'test')
-    assert summary['mean']['model']['force_rmse'] == pytest.approx(0.5, rel=1e-5)
