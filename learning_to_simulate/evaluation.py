@@ -53,11 +53,10 @@ def summarise(results, model, metadata: dict, split: str) -> dict:
     """The metrics of rolled-out runs of a split (record, one-run `RunGroup`, its `Rollout`): per
     run, their mean, and those of the trivial predictors.
 
-    Of the model its scene and statistics are read, and the edges of its graphs. `metadata` is that
-    of the dataset; {} where the nodes of the groups are the solver's own particles. `mean` and
-    `runs` are method -> errors: `soil_mm` (`soil_truth`), `soil_mse` within the subspace,
-    `rigid_mse`, `height_mm` of a driven body, those of `metrics.load_errors`; of the model also its
-    status and times.
+    Of the model its scene and statistics are read. `metadata` is that of the dataset; {} where the
+    nodes of the groups are the solver's own particles. `mean` and `runs` are method -> errors:
+    `soil_mm` (`soil_truth`), `soil_mse` within the subspace, `rigid_mse`, `height_mm` of a driven
+    body, those of `metrics.load_errors`; of the model also its status, edges and times.
     """
     scene, statistics = model.simulator.scene, model.simulator.statistics
     truths = _Truths(metadata, split, scene)
@@ -96,7 +95,7 @@ def summarise(results, model, metadata: dict, split: str) -> dict:
             rows.append({'record': record} | {k: float(v[0]) for k, v in errors.items()})
         methods['model'][-1] |= {
             **rollout.judgements[0].fields(),
-            'edges': model.layout(n_rigid).n_edge,
+            'edges': rollout.edges,
             'milliseconds_per_step': 1e3 * rollout.seconds / n_frame,
             'seconds_per_simulated_second': rollout.seconds / (n_frame * scene.dt),
         }

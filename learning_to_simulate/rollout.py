@@ -25,12 +25,14 @@ class Rollout(NamedTuple):
       force: float32 [S, T - H, D], N, or None.
       judgements: per run.
       seconds: wall time of the compiled loop (after compilation), materialised results included.
+      edges: of the graph, in the mean over frames; 0 without one.
     """
 
     position: np.ndarray
     force: np.ndarray | None
     judgements: list[Judgement]
     seconds: float
+    edges: int = 0
 
     @property
     def status(self) -> list[RolloutStatus]:
@@ -129,4 +131,4 @@ def roll_out(function: RolloutFunction, group, force_limit: float | None = None)
     force = None if force is None else np.moveaxis(force.numpy(), 0, 1)
     s = function.simulator
     judgements = judge(group, position, force, s.statistics, s.scene, force_limit)
-    return Rollout(position, force, judgements, seconds)
+    return Rollout(position, force, judgements, seconds, layout.n_edge)

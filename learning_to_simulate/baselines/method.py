@@ -42,9 +42,6 @@ class RidgeModel:
     simulator: SimpleNamespace
     method: path_ridge.PathRidge
 
-    def layout(self, n_rigid: int):
-        return SimpleNamespace(n_edge=0)
-
 
 class RidgeEvaluator(evaluation.Evaluator):
     """Rollouts of a `RidgeModel`."""

@@ -9,7 +9,7 @@ again and compared with the source model on a recorded run; beyond round-off the
 
 import os
 
-from learning_to_simulate import native
+from learning_to_simulate import checkpoints, native, registry
 from pca_tools import files
 
 FORMATS = ('savedmodel', 'tflite', 'onnx', *native.FORMATS)
@@ -43,9 +43,6 @@ def export(
     if os.path.exists(output_path) and (not os.path.isdir(output_path) or os.listdir(output_path)):
         raise ValueError(f'{output_path}: is there and not empty; nothing was written')
     exported = _exported(model_path, data_path, kind, n_tools)
-
-    from learning_to_simulate import checkpoints
-
     weights = os.path.join(model_path, checkpoints.WEIGHTS_FILE)
     description = {
         'format': kind,
@@ -62,8 +59,6 @@ def export(
 
 
 def _exported(model_path, data_path, kind, n_tools):
-    from learning_to_simulate import registry
-
     if registry.of_folder(model_path).on_terrain:
         if kind not in native.FORMATS:
             raise ValueError(f'{model_path}: a soil field has --format=c and fmu')

@@ -7,7 +7,6 @@ import dataclasses
 import os
 import resource
 import time
-from types import SimpleNamespace
 
 import numpy as np
 import tensorflow as tf
@@ -249,9 +248,6 @@ class ParticleModel:
     loaded_mask: None = None
     edge_source: None = None
 
-    def layout(self, n_rigid: int):
-        return SimpleNamespace(n_edge=0)
-
     def edge_counts(self) -> dict[str, int]:
         return {}
 
@@ -361,13 +357,9 @@ def open_model(model_path, data_path, split, overrides=None, raw_path=None) -> O
 
 
 class ParticleEvaluator(evaluation.Evaluator):
-    """As its base; the rows of the model also hold the mean number of edges, and the peak memory of
-    the process so far (`peak_memory_mb`). The metadata are {} for particles of raw runs, of which
-    nothing is cut off."""
-
-    def __init__(self, model: ParticleModel, metadata: dict):
-        super().__init__(model, metadata)
-        self._edges: dict[int, float] = {}
+    """As its base; the rows of the model also hold the peak memory of the process so far
+    (`peak_memory_mb`). The metadata are {} for particles of raw runs, of which nothing is cut
+    off."""
 
     def roll_out(self, group) -> Rollout:
         """Rolls out the one run of a group from its first H frames; stops where it blows up."""
@@ -394,14 +386,14 @@ class ParticleEvaluator(evaluation.Evaluator):
             if forces is not None:
                 forces[0, k] = force
             edges.append(n_edge)
-        self._edges[int(group.record[0])] = float(np.mean(edges)) if edges else 0.0
-        return Rollout(positions, forces, [judgement], time.perf_counter() - start)
+        seconds, n_edge = time.perf_counter() - start, round(np.mean(edges)) if edges else 0
+        return Rollout(positions, forces, [judgement], seconds, n_edge)
 
     def run(self, groups, split: str, progress=iter):
-        """As `Evaluator.run`, with edges and memory in the metrics."""
+        """As `Evaluator.run`, with the memory in the metrics."""
         results, summary = super().run(groups, split, progress)
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
         for row in summary['runs']['model']:
-            row |= {'edges': round(self._edges[row['record']]), 'peak_memory_mb': peak}
+            row['peak_memory_mb'] = peak
         summary['mean']['model']['peak_memory_mb'] = peak
         return results, summary | {'particles': self._model.simulator.scene.n_soil}
