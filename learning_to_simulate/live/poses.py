@@ -50,7 +50,8 @@ class PoseReader:
 
     def __init__(self, up_axis: int, lateral: float):
         self._up, self._lateral = up_axis, lateral
-        (self._across,) = {1, 2} - {up_axis} if up_axis else (2,)
+        self._drive = 0 if up_axis else 1
+        self._across = 3 - self._up - self._drive
 
     def read(self, pose) -> np.ndarray:
         """float64 [7] of a pose in any of its forms; ValueError for what is none."""
@@ -61,7 +62,7 @@ class PoseReader:
         if len(values) == 7:
             return np.concatenate([values[:3], _unit(values[3:])])
         position = np.zeros(3)
-        position[[0, self._up, self._across]] = values[0], values[1], self._lateral
+        position[[self._drive, self._up, self._across]] = values[0], values[1], self._lateral
         return np.concatenate([position, self._turned(values[2])])
 
     def _turned(self, angle):

@@ -208,11 +208,11 @@ def test_poses_in_all_forms_and_planes():
     np.testing.assert_allclose(flat, [0.8, 0.3, 0.4, *turn])
     np.testing.assert_allclose(reader.read(((0.8, 0.3, 0.4), turn)), flat)
     # The drive axis turns towards the height axis, whichever that is.
-    for up, across in ((1, 2), (2, 1)):
+    for drive, up, across in ((0, 1, 2), (0, 2, 1), (1, 0, 2)):
         values = poses.PoseReader(up, 0.4).read((0.8, 0.3, np.pi / 2))
         matrix = poses.rotation_matrix(values[3:])
-        np.testing.assert_allclose(matrix @ np.eye(3)[0], np.eye(3)[up], atol=1e-12)
-        assert values[across] == 0.4
+        np.testing.assert_allclose(matrix @ np.eye(3)[drive], np.eye(3)[up], atol=1e-12)
+        assert values[[drive, up, across]].tolist() == [0.8, 0.3, 0.4]
     matrix = poses.rotation_matrix(np.array([0.5, 0.5, 0.5, 0.5]))
     np.testing.assert_allclose(poses.quaternion_of(matrix), [0.5] * 4, atol=1e-12)
     # A constant turn, undone in two halves.
