@@ -1,34 +1,11 @@
-"""Rollouts: the compiled loop against single steps, the rigid correction against scipy."""
+"""Rollouts: the compiled loop against single steps; the rigid correction on the way, which
+`tests/stiff/test_rigid_fit.py` holds against other fits."""
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from learning_to_simulate import rollout
-from learning_to_simulate.subspace import rigid_body
-from pca_tools import rigid_fit
 from tests.learning_to_simulate import models
-
-BODIES = {
-    'ball': np.random.default_rng(0).normal(size=(9, 3)),
-    'coplanar': np.random.default_rng(1).normal(size=(12, 3)) * [1.0, 1.0, 0.0],
-    'ring': np.stack([np.cos(np.arange(8)), np.sin(np.arange(8)), np.zeros(8)], -1),
-}
-
-
-@pytest.mark.parametrize('body', BODIES.values(), ids=BODIES)
-def test_correction_equals_the_svd_fit_and_scipy(body):
-    """Random poses with deformation: the nearest rigid placement is unique, so all ways agree."""
-    rng = np.random.default_rng(2)
-    shape = body - body.mean(axis=0)
-    for _ in range(50):
-        turn = Rotation.random(random_state=int(rng.integers(1 << 30)))
-        target = turn.apply(shape) + rng.normal(size=3) + 0.05 * rng.normal(size=shape.shape)
-        placed = rigid_body.rigid_correction(shape[None], target[None])[0].numpy()
-        fit = rigid_fit.fit_rigid_motion(shape, target)
-        np.testing.assert_allclose(placed, shape @ fit.rotation.T + fit.translation, atol=1e-12)
-        nearest, _ = Rotation.align_vectors(target - target.mean(axis=0), shape)
-        np.testing.assert_allclose(placed, nearest.apply(shape) + target.mean(axis=0), atol=1e-7)
 
 
 @pytest.mark.parametrize('context', [True, 'changing'])

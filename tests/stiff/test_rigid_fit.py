@@ -42,10 +42,13 @@ def test_compiled_correction_places_every_body(shape):
 
 @pytest.mark.parametrize('shape', [SHAPES['cloud'], BLADE, RING], ids=['cloud', 'blade', 'ring'])
 def test_deformed_body_is_rigid_after_each_correction(shape):
-    """What a network leaves: edge lengths come back to round-off, whatever the deformation."""
+    """What a network leaves: edge lengths come back to round-off, whatever the deformation. The
+    nearest rigid placement is unique, so the SVD fit and scipy find it as well."""
     centred = shape - shape.mean(axis=0)
-    deformed = centred + 0.05 * np.random.default_rng(3).standard_normal((50, *shape.shape))
-    placed = CORRECTION(np.repeat(centred[None], 50, axis=0), deformed).numpy()
+    deformed = np.stack([centred @ rotation.T for rotation in poses(50, 4)])
+    deformed += 0.05 * np.random.default_rng(3).standard_normal(deformed.shape)
+    shapes = np.repeat(centred[None], 50, axis=0)
+    placed = CORRECTION(shapes, deformed).numpy()
 
     def edges(x):
         return np.linalg.norm(x[..., :, None, :] - x[..., None, :, :], axis=-1)
@@ -53,6 +56,11 @@ def test_deformed_body_is_rigid_after_each_correction(shape):
     size = edges(centred).max()
     # Measured 3e-16.
     assert np.abs(edges(placed) - edges(centred)).max() < 5e-15 * size
+    for one, target in zip(rigid_body.rigid_correction(shapes, deformed).numpy(), deformed):
+        fit = fit_rigid_motion(centred, target).apply(centred)
+        np.testing.assert_allclose(one, fit, atol=1e-12)
+        nearest, _ = Rotation.align_vectors(target - target.mean(axis=0), centred)
+        np.testing.assert_allclose(one, nearest.apply(centred) + target.mean(axis=0), atol=1e-7)
 
 
 @pytest.mark.parametrize('way', ['host', 'compiled'])
