@@ -77,7 +77,7 @@ def encode_runs(
         encoded.append(
             EncodedRun(
                 _trajectory(run, kept_scores, runs.scene),
-                {'case': run.case, **run.parameters},
+                {'case': run.case} | run.parameters | {'case': run.case},
                 projection_details(run.positions, kept, kept_scores),
                 _floors(run.positions, space, scores, n_modes),
                 ParticleSample.pack(run.positions[:, sampled], space.initial[sampled]),

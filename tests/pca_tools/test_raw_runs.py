@@ -140,6 +140,8 @@ def test_rehash_follows_files_that_were_changed_on_purpose(tmp_path):
     changed = {n for n in os.listdir(raw) if os.stat(f'{raw}/{n}').st_mtime_ns != before[n]}
     assert changed == {'manifest.json'}
     np.testing.assert_array_equal(RawRuns(raw)[2].positions, arrays['positions'])
+    kept = convert.convert(raw, str(tmp_path / 'out'), modes=2)['cases']  # by the manifest's names
+    assert sorted(run['case'] for runs in kept.values() for run in runs) == [1, 2, 3, 4, 5]
     manifest = files.read_json(f'{raw}/manifest.json')
     manifest['runs'] = [{'file': entry['file']} for entry in manifest['runs']]
     files.write_json(f'{raw}/manifest.json', manifest)
