@@ -302,7 +302,10 @@ def make_metadata(
             },
         },
         'particles': {name: ParticleSample.path_of('', name) for name in parts},
-        **{key: of_runs(lambda run, key=key: run.details[key]) for key in PROJECTION_KEYS},
+        **{
+            key: {split: [run.details[key] for run in part] for split, part in parts.items()}
+            for key in PROJECTION_KEYS
+        },
         'dataset_split': of_runs(lambda run: run.parameters['case']),
         'cases': of_runs(lambda run: run.parameters),
     }

@@ -89,7 +89,10 @@ def evaluate(name: str, case: int | str, out: str) -> tuple[list[dict], list[str
             rollouts.append(model.rollout(data.test[number]))
             record = data.test.records[number]
             poses = record.rigid_pose.astype(float)
-            steps, wholes = timing.stepping(model.stepper(), poses, record.step_context, EVERY)
+            steps, wholes = (
+                timing.stepping(model.stepper(), poses, record.step_context, has_particles)
+                for has_particles in (False, True)
+            )
             wholes, count = wholes[1:], rollouts[1].scene.n_soil  # the first one compiles
         times = {STEP: 1e3 * statistics.median(steps), PARTICLES: 1e3 * statistics.median(wholes)}
         rows.append(_row(title, summary['mean']['model']) | times | {COUNT: count})

@@ -3,7 +3,7 @@
 import contextlib
 import dataclasses
 import os
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -80,7 +80,8 @@ class Run(NamedTuple):
         dry soil does there by similarity (`mpm/README.md`), times as the root of lengths. Cells
         grow with the rest, so the edge of the copy stands for one of (r + BLUNTER) size - BLUNTER.
         """
-        tool, pose = self.tool, self.pose * np.array([size] * 3 + [1.0] * 4)
+        tool: Any = self.tool
+        pose = self.pose * np.array([size] * 3 + [1.0] * 4)
         edge = size * (tool.radius + BLUNTER) - BLUNTER
         larger = {'width': size * tool.width, 'radius': edge, 'length': size * tool.length}
         return self._replace(
