@@ -79,7 +79,7 @@ class Explanation:
         layout, s = self.layout, model.simulator
         if layout.n_edge == layout.n_node**2:
             return
-        full = connectivity_utils.fully_connected(layout.n_node)
+        full = connectivity_utils.build('fully_connected', model.simulator.scene, layout.n_rigid)
         full = Layout(full, group.n_rigid, s.scene, s.statistics, s.config)
         yield self._on_top('edges that the graph does not have', 'full', model, group, full)
 

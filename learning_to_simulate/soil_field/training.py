@@ -100,8 +100,8 @@ def parts_of(field: SoilField, runs: list[Run], progress=iter) -> dict[str, list
     seen = np.concatenate(values)
     lows, highs = seen.min(axis=0).tolist(), seen.max(axis=0).tolist()
     for name, low, high in zip(field.judged_names, lows, highs, strict=True):
-        if name not in CONDITIONS:
-            field.ranges[name] = [low, high]
+        if name not in CONDITIONS:  # no wall is as good as one far away
+            field.ranges[name] = [0.0 if name.startswith('wall') else low, high]
     return {name: [_joined(some) for some in pool.values()] for name, pool in pools.items()}
 
 
