@@ -65,9 +65,10 @@ def make_field(
     return SoilField(config, networks)
 
 
-def parts_of(field: SoilField, runs: list[Run], progress=iter) -> dict[str, list]:
+def parts_of(field: SoilField, runs: list[Run], progress=iter, sizes=SIZES) -> dict[str, list]:
     """Name of a network -> samples of runs, joined where they have one shape: loads of uneven
-    terrain have five strips, of even terrain one. The field learns their ranges.
+    terrain have five strips, of even terrain one. The field learns their ranges. `sizes` are those
+    of `copies_of`.
 
     Raises:
       ValueError: no runs.
@@ -94,7 +95,7 @@ def parts_of(field: SoilField, runs: list[Run], progress=iter) -> dict[str, list
             add('surface', samples.surface_part(networks, episode, motion, rng))
         if run.particles is not None:
             add('soil', samples.soil_part(networks, run, rng))
-        for copy in copies_of(run):
+        for copy in copies_of(run, sizes):
             for _, episode in samples.episodes_of(copy):
                 add('load', samples.load_part(networks, copy, episode))
     seen = np.concatenate(values)
@@ -105,10 +106,11 @@ def parts_of(field: SoilField, runs: list[Run], progress=iter) -> dict[str, list
     return {name: [_joined(some) for some in pool.values()] for name, pool in pools.items()}
 
 
-def copies_of(run: Run) -> list[Run]:
+def copies_of(run: Run, sizes=SIZES) -> list[Run]:
+    """The run of a blade at other sizes, where the scale of the tool stays; [] of other tools."""
     if not isinstance(run.tool, Blade):
         return []
-    return [copy for copy in map(run.resized, SIZES) if copy.tool.scale == run.tool.scale]
+    return [copy for copy in map(run.resized, sizes) if copy.tool.scale == run.tool.scale]
 
 
 def _joined(parts):

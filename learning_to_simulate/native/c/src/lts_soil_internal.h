@@ -109,7 +109,7 @@ void lts_place_unlaid(const lts_place *place, const double vector[3], double out
 /* Lean, yaw and roll, rad. */
 void lts_place_turns(const lts_place *place, const lts_pose *pose, double out[3]);
 
-/* lts_soil_terrain.c: the distance to the wall; the mean height of a
+/* lts_soil_terrain.c: the distance to the wall ahead (way 1) or behind (-1); the mean height of a
  * strip at u; whether a terrain can be one. */
 int lts_terrain_usable(const lts_terrain *terrain);
 double lts_terrain_wall(const lts_terrain *terrain, const lts_place *place, double u, double way);
