@@ -17,6 +17,7 @@ part by part in this order, so that what teaches most is there first:
     trench            30 long cuts
     spread            60 cuts whose heap is spread
     backdrag          60 cuts whose heap is drawn back
+    brief             60 short paths straight down and on, each with a tool and soil of its own
     excavation_grid   40 of the 250 published cases
     wheel_free        120 free drives of the wheel, four kinds that take turns
     wheel_height      60 at a height that is given
@@ -60,6 +61,7 @@ PARTS = {
     'trench': (scenes.EXCAVATION, ('trench',)),
     'spread': (scenes.EXCAVATION, ('spread',)),
     'backdrag': (scenes.EXCAVATION, ('backdrag',)),
+    'brief': (scenes.EXCAVATION, ('brief',)),
     'excavation_grid': (scenes.EXCAVATION, ()),
     'wheel_free': (scenes.WHEEL, wheel_drives.TURNS),
     'wheel_height': (scenes.WHEEL, ('height',)),

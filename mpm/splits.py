@@ -23,6 +23,7 @@ RUNS = {
         'trench': 30,
         'spread': 60,
         'backdrag': 60,
+        'brief': 60,
     },
     'wheel': {
         **dict.fromkeys(('slip', 'stops', 'reverse', 'load'), 30),

@@ -21,6 +21,8 @@ trench: one cut of 1.2 to 1.5 m, in a bin of 2 m.
 spread: a short run (`FRAMES`): a cut whose heap is then spread: the blade goes on above the bed.
 backdrag: a short run: a cut whose heap is then drawn back: the blade goes over it, is set
     down before it and drags it with its back.
+brief: a short run, with a tool and a soil of its own, at any place of the bin: straight down or
+    nearly so, then on, deeper, or out and down again.
 """
 
 import math
@@ -32,7 +34,8 @@ from mpm.motions import checks, grid
 from mpm.motions.drive import Drive, Levels, Track, poses
 
 TURNS = ('smooth', 'stops', 'reverse', 'lift', 'disturbed')  # of seeds, if no kind is named
-KINDS = (*TURNS, 'halts', 'beside', 'soils', 'tools', 'trench', 'spread', 'backdrag')
+KINDS = (*TURNS, 'halts', 'beside', 'soils', 'tools', 'trench', 'spread', 'backdrag',
+         'brief')  # fmt: skip
 BINS = {'beside': 'wide', 'tools': 'wide', 'trench': 'long'}  # the others: the scene's own
 MAX_DEPTH, MIN_DEPTH = 0.10, 0.01  # m, of the edge below the flat surface
 MAX_SPEED = 0.15  # m/s along the bed
@@ -55,9 +58,11 @@ GRAVITIES = (1.62, 3.72)  # m/s2, Moon and Mars
 TRENCH = (1.2, 1.5)  # m
 LAYERS = 0.003, 0.038  # m, of the edge above the bed
 LEAST_SPREAD_FRAMES, LEAST_BACKDRAG = 40, 0.12  # m
-FRAMES = {'spread': 220, 'backdrag': 290}  # of the other kinds: the scene's own, or `_trench`'s
+FRAMES = {'spread': 220, 'backdrag': 290, 'brief': 110}  # of the other kinds: the scene's own, or `_trench`'s
 # Of drawn tools.
 WIDTHS = (0.15, 0.60)  # m
+BRIEF_WIDTHS = (0.15, 0.40)  # m, in a bin that is half as wide
+BRIEF_START = (0.30, 0.82)  # m
 BLADE_HEIGHTS = (0.15, 0.40)  # m
 EDGE_RADII = (0.008, 0.018)  # m, of blades
 BUCKET_RADII = (0.08, 0.16)  # m
@@ -114,10 +119,10 @@ def operator_drive(
     """
     rng = np.random.default_rng([seed, KINDS.index(kind), 1])
     parameters = {'kind': kind, 'path_seed': seed}
-    if kind == 'soils':
+    if kind in ('soils', 'brief'):
         parameters['ground'] = _draw_ground(rng)
-    if kind == 'tools' and tool is None:
-        tool = _draw_tool(rng)
+    if kind in ('tools', 'brief') and tool is None:
+        tool = _draw_tool(rng, WIDTHS if kind == 'tools' else BRIEF_WIDTHS)
     drive, drawn = checks.first_that_fits(
         lambda: _draw(rng, scene, kind, tool), scene.bin, f'the kind {kind!r}, seed {seed}',
         lambda drive, drawn: _is_fine(drive, scene.bin, drawn),
@@ -152,7 +157,9 @@ def _draw(rng, scene, kind, tool) -> tuple[Drive, dict]:
         leans = BUCKET_LEANS
     clearance = rng.uniform(grid.TIP_CLEARANCE, 0.03)
     start_x = grid.blade_start(scene)[0]
-    if kind != 'trench' and rng.random() < _ELSEWHERE_SHARE:
+    if kind == 'brief':
+        start_x, clearance = rng.uniform(*BRIEF_START), grid.TIP_CLEARANCE
+    elif kind != 'trench' and rng.random() < _ELSEWHERE_SHARE:
         start_x = rng.uniform(0.55, start_x + 0.02)
     else:
         clearance = grid.TIP_CLEARANCE
@@ -181,6 +188,7 @@ def _draw(rng, scene, kind, tool) -> tuple[Drive, dict]:
         {
             'smooth': _smooth, 'halts': _smooth, 'stops': _stops, 'reverse': _reverse,
             'lift': _lift, 'spread': _spread, 'backdrag': _backdrag,
+            'brief': _brief,
         }[plot](rng, story, begin + seconds)  # fmt: skip
     speed, depth, lean = (story.levels(name) for name in ('speed', 'depth', 'lean'))
     clock = _halting_clock(rng) if kind == 'halts' else np.asarray
@@ -232,6 +240,8 @@ def _is_fine(drive, box, parameters) -> bool:
     times = np.arange(frames + 1 + drive.lead_in) / scenes.FRAME_RATE
     x, y, angle, _ = drive.pose(times).T
     depth = box.surface - y - bodies.lowest(drive.body, angle)
+    if plot == 'brief':  # near walls as well
+        return x.min() >= scenes.CORNER + FRONT_ROOM / 2
     if x.min() < scenes.CORNER + FRONT_ROOM or _is_squeezing(x, y, angle, depth, box):
         return False
     x, is_below = x[drive.lead_in :], depth[drive.lead_in :] > 0.0
@@ -333,6 +343,20 @@ def _backdrag(rng, story, end) -> None:
     story.go(max(end - story.time, 0.3), -rng.uniform(0.08, MAX_SPEED), depth)
 
 
+def _brief(rng, story, end) -> None:
+    is_upright = rng.random() < 0.6
+    story.go(rng.uniform(0.2, 0.8), 0.0 if is_upright else _cut_speed(rng), rng.uniform(0.02, 0.08))
+    what = rng.choice(['on', 'deeper', 'again'], p=[0.5, 0.25, 0.25])
+    if what == 'deeper':
+        story.wait(rng.uniform(0.1, 0.3))
+        story.go(rng.uniform(0.2, 0.5), 0.0, min(story.last('depth') + 0.03, MAX_DEPTH))
+    elif what == 'again':
+        story.go(rng.uniform(0.3, 0.5), _cut_speed(rng), -rng.uniform(0.0, 0.02))
+        story.go(rng.uniform(0.2, 0.6), 0.0, rng.uniform(0.02, 0.08))
+    while story.time < end:
+        story.go(rng.uniform(0.2, 0.5), _cut_speed(rng), _cut_depth(rng))
+
+
 def _trench(rng, story) -> float:
     """One long cut of changing speed and depth; returns its seconds."""
     story.go(rng.uniform(0.6, 1.0), _cut_speed(rng), rng.uniform(0.02, 0.06))
@@ -378,9 +402,9 @@ def _earlier_pass(rng, story) -> tuple[int, tuple]:
     return frames, moves
 
 
-def _draw_tool(rng) -> dict:
+def _draw_tool(rng, widths) -> dict:
     """A tool (`bodies.check_tool`): three blades to two buckets."""
-    width = round(rng.uniform(*WIDTHS), 3)
+    width = round(rng.uniform(*widths), 3)
     if rng.random() < 0.6:
         radius = round(rng.uniform(*EDGE_RADII), 4)
         height = round(rng.uniform(*BLADE_HEIGHTS), 3)

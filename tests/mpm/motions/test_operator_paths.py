@@ -50,6 +50,8 @@ def test_each_plot_shows_what_it_is_for(paths):
         if plot == 'spread':
             over = -depth[np.argmax(is_below) :]
             assert (over > LAYERS[0]).sum() >= 30 and over.max() <= LAYERS[1] + 1e-9
+        if plot == 'brief':
+            assert is_below[:20].any() and depth.max() > 0.0199
         if plot == 'backdrag':
             # Forward into the soil, over the heap, and back at a height that meets it.
             turn = np.argmin(x)
@@ -60,6 +62,13 @@ def test_each_plot_shows_what_it_is_for(paths):
             assert 1.1 < np.ptp(x) < 1.6 and path.motion.frames > 320
         else:
             assert path.motion.frames == FRAMES.get(kind, 320)
+    if kind == 'brief':  # no two alike, many of them straight down, some near a wall
+        tools = {str(path.parameters['tool']) for path in made}
+        assert len(tools) == len({path.motion.ground for path in made}) == len(made)
+        sunk = [path.poses[20 * STEPS] - path.poses[0] for path in made]
+        assert sum(x == 0.0 and y < -0.01 for x, y, *_ in sunk) > len(made) / 3
+        starts = [path.poses[0, 0] for path in made]
+        assert min(starts) < 0.4 and max(starts) > 0.75
 
 
 def test_an_earlier_pass_cuts_the_bed_before_the_first_frame(paths):
