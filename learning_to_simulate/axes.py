@@ -33,6 +33,15 @@ def without_height(values, up_axis: int, mean=np.mean):
     return values - up_vector(values.shape[-1], up_axis) * mean(values, axis=-2, keepdims=True)
 
 
+def rotation_rows(w, x, y, z) -> list[list]:
+    """Rows of the rotation matrix of a unit quaternion, of numbers or of equal arrays."""
+    return [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+
+
 @dataclasses.dataclass(frozen=True)
 class Axes:
     """Axes of a scene.

@@ -15,6 +15,8 @@ import math
 
 import numpy as np
 
+from learning_to_simulate.axes import rotation_rows
+
 # What a unit quaternion may be off by before it is taken for something else.
 UNIT_TOLERANCE = 1e-3
 LARGEST = float(np.finfo(np.float32).max)  # the models compute in float32
@@ -92,15 +94,6 @@ def rotation_matrix(quaternion) -> np.ndarray:
     """float64 [..., 3, 3] of unit quaternions [..., 4] (w, x, y, z)."""
     rows = rotation_rows(*np.moveaxis(np.asarray(quaternion, np.float64), -1, 0))
     return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
-
-
-def rotation_rows(w, x, y, z) -> list[list]:
-    """Rows of the rotation matrix of a unit quaternion, of numbers or of equal arrays."""
-    return [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
 
 
 def turned(quaternion, rotation) -> np.ndarray:

@@ -70,8 +70,11 @@ def figure(
     before, frames = arrays['heights_before'], arrays['height_frames']
     changes = np.nan_to_num([m[-1] - before for m in maps.values()])
     largest = max(1e3 * float(np.quantile(np.abs(changes), _QUANTILE)), 1.0)
-    extent = _extent(arrays)
-    aspect = (extent[3] - extent[2]) / (extent[1] - extent[0])
+    sides = arrays['cell'] * before.shape
+    across, up = axes = (
+        (0, 1) if sides[0] >= sides[1] else (1, 0)
+    )  # of the map: its longer side first
+    aspect = sides[up] / sides[across]
     is_one = len(moments) == 1
     columns, map_rows = (len(maps), 1) if is_one else (len(moments), len(maps))
     wide = WIDTH / max(columns, 2)
@@ -94,9 +97,9 @@ def figure(
                 page.legend(*side.get_legend_handles_labels(), loc='upper right', ncols=3)
             for k, (label, heights) in enumerate(maps.items()):
                 plan = page.add_subplot(grid[1, k] if is_one else grid[1 + k, column])
-                _draw_map(plan, arrays, heights[i] - before, int(frames[i]), extent, largest)
-                plan.set_ylabel(f'{label}\nz (m)' if column == 0 else '')
-                plan.set_xlabel('x (m)' if is_one or k == len(maps) - 1 else '')
+                _draw_map(plan, arrays, heights[i] - before, int(frames[i]), axes, largest)
+                plan.set_ylabel(f'{label}\n{"xz"[up]} (m)' if column == 0 else '')
+                plan.set_xlabel(f'{"xz"[across]} (m)' if is_one or k == len(maps) - 1 else '')
                 views.append(plan)
         scale = ScalarMappable(Normalize(-largest, largest), _CHANGE)
         page.colorbar(scale, ax=views, extend='both', pad=0.01, label='change of height (mm)')
@@ -155,11 +158,6 @@ def _errors(arrays, is_wheel):
     return found
 
 
-def _extent(arrays):
-    (x, z), (dx, dz), (nx, nz) = arrays['corner'], arrays['cell'], arrays['heights_before'].shape
-    return [x, x + dx * nx, z, z + dz * nz]
-
-
 def _way(pose):
     """Level unit vectors along and across the way of a pose [7], and its rotation."""
     turn = Rotation.from_quat(np.roll(pose[3:], -1))
@@ -216,18 +214,20 @@ def _draw_section(axes, arrays, maps, i):
     axes.set(xlabel='along the way (m)', aspect='equal')
 
 
-def _draw_map(axes, arrays, change, frame, extent, largest):
+def _draw_map(axes, arrays, change, frame, order, largest):
+    first, side = arrays['corner'], arrays['cell'] * change.shape
+    extent = [end for i in order for end in (first[i], first[i] + side[i])]
     axes.imshow(
-        1e3 * np.asarray(change, float).T, origin='lower', extent=extent, cmap=_CHANGE,
-        vmin=-largest, vmax=largest, interpolation='nearest',
+        1e3 * np.asarray(change, float).transpose(order[::-1]), origin='lower', extent=extent,
+        cmap=_CHANGE, vmin=-largest, vmax=largest, interpolation='nearest',
     )  # fmt: skip
     axes.locator_params(nbins=5)
     pose = np.asarray(arrays['pose'], float)[frame]
     if np.isfinite(pose).all():
         _, across, _ = _way(pose)
         half = json.loads(str(arrays['tool']))['width'] / 2 * across
-        ends = np.stack([pose[:3] - half, pose[:3] + half])
-        axes.plot(ends[:, 0], ends[:, 2], color=BODY_EDGE, linewidth=2.5)
+        ends = np.stack([pose[:3] - half, pose[:3] + half])[:, [0, 2]]
+        axes.plot(*ends[:, order].T, color=BODY_EDGE, linewidth=2.5)
 
 
 def _draw_force(axes, arrays, frames):

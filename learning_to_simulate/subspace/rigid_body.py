@@ -5,8 +5,7 @@ from typing import NamedTuple
 
 import tensorflow as tf
 
-from learning_to_simulate.axes import without_height
-from learning_to_simulate.live import poses
+from learning_to_simulate.axes import rotation_rows, without_height
 from learning_to_simulate.scene import RigidMotion, Scene
 
 
@@ -67,7 +66,7 @@ def rigid_correction(shape, position):
         [xy - yx, zx + xz, yz + zy, zz - xx - yy],
     ]
     _, vectors = tf.linalg.eigh(tf.stack([tf.stack(row, -1) for row in rows], 1))
-    rows = poses.rotation_rows(*tf.unstack(vectors[..., -1], axis=-1))
+    rows = rotation_rows(*tf.unstack(vectors[..., -1], axis=-1))
     rotation = tf.stack([tf.stack(row, -1) for row in rows], 1)
     # x' = mean(b) + R a.
     return centroid + tf.einsum('bij,brj->bri', rotation, shape)

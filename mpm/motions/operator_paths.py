@@ -58,7 +58,8 @@ GRAVITIES = (1.62, 3.72)  # m/s2, Moon and Mars
 TRENCH = (1.2, 1.5)  # m
 LAYERS = 0.003, 0.038  # m, of the edge above the bed
 LEAST_SPREAD_FRAMES, LEAST_BACKDRAG = 40, 0.12  # m
-FRAMES = {'spread': 220, 'backdrag': 290, 'brief': 110}  # of the other kinds: the scene's own, or `_trench`'s
+# Of the other kinds: the scene's own, or `_trench`'s.
+FRAMES = {'spread': 220, 'backdrag': 290, 'brief': 110}
 # Of drawn tools.
 WIDTHS = (0.15, 0.60)  # m
 BRIEF_WIDTHS = (0.15, 0.40)  # m, in a bin that is half as wide

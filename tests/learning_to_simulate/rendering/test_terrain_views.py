@@ -90,6 +90,20 @@ def test_of_a_large_terrain_what_lies_about_the_path_is_drawn():
     assert line.get_xdata()[0] == pytest.approx(-0.4) and line.get_xdata()[-1] == pytest.approx(0.8)
 
 
+def test_a_map_lies_on_its_longer_side():
+    maps = np.full((3, 30, 50), HEIGHT)
+    maps[2, :10, 40:] += RISE
+    lies = arrays(heights_before=maps[0], predicted_heights=maps, corner=np.array([0.3, 0.0]))
+    _, plan = terrain_views.figure(lies, [2], 50).axes[:2]
+    assert (plan.get_xlabel(), plan.get_ylabel()) == ('z (m)', 'model\nx (m)')
+    np.testing.assert_allclose([*plan.get_xlim(), *plan.get_ylim()], [0.0, 1.0, 0.3, 0.9])
+    image = plan.get_images()[0].get_array()
+    assert image.shape == (30, 50) and (image[:10, 40:] > 49).all()
+    (ends,) = plan.get_lines()
+    np.testing.assert_allclose(ends.get_ydata(), 0.4)
+    np.testing.assert_allclose(sorted(ends.get_xdata()), [0.15, 0.45])
+
+
 def test_files_are_drawn_and_what_failed_is_said(tmp_path):
     path = str(tmp_path / 'rollout_test_0.npz')
     files.write_npz(path, **arrays())
