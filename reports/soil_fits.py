@@ -34,7 +34,7 @@ from learning_to_simulate.soil_field.tools import Wheel
 from pca_tools import dataset, files
 from reports import markdown, record
 
-DATA = 'datasets/excavation'
+DATA = 'datasets/excavation', 'datasets/excavation_more'
 OPERATOR = ('smooth', 'stops', 'reverse', 'lift', 'disturbed', 'halts')
 KINDS = ('calibration', 'single', 'three')
 # Slip, drawbar N, sinkage m; load N, friction angle and density of the sand (cohesion 0.25 kPa).
@@ -78,10 +78,10 @@ def known_soils(field) -> dict[str, list[dict]]:
     """Fits of runs of the data of record: those that calibrate, and those that judge."""
     from learning_to_simulate.soil_field import digs
 
-    cases = {
-        (split, str(case['case'])): case
-        for split, of in dataset.read_metadata(DATA)['cases'].items() for case in of
-    }  # fmt: skip
+    cases = {}
+    for folder in DATA:
+        for split, of in dataset.read_metadata(folder)['cases'].items():
+            cases |= {(split, str(case['case'])): case for case in of}
     true = {n: (c['friction_angle_deg'], c['bulk_density_kg_m3']) for (_, n), c in cases.items()}
     soils, usual = (
         {split: [n for (of, n), c in cases.items() if of == split and c['kind'] in kinds]
@@ -93,10 +93,10 @@ def known_soils(field) -> dict[str, list[dict]]:
         *(('single', (n,)) for n in soils['test']),
         *(('three', three) for three in itertools.combinations(usual['test'], 3)),
     ]
+    runs = digs.of_dataset(','.join(DATA), sorted({n for _, of in sets for n in of}))
     rolled = {
         dig.name: fit_soil.Rolled(field, dig)
-        for dig in tqdm.tqdm(digs.of_dataset(DATA, sorted({n for _, of in sets for n in of})),
-                             unit='run', disable=None)
+        for dig in tqdm.tqdm(runs, unit='run', disable=None)
     }  # fmt: skip
     found: dict[str, list[dict]] = {
         kind + what: [] for kind in KINDS for what in ('', ', density given')

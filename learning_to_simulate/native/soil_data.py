@@ -46,7 +46,7 @@ _CONSTANTS = {
     strips: ('N_BESIDE', 'BESIDE_WIDTH', 'ACROSS', 'BESIDE'),
     sweep: ('WINDOW', 'FORGET', 'MEMORIES', 'TOUCH', 'REACH', 'RISE'),
     terrain: ('SLIDES', 'SLOPE_TOLERANCE'),
-    tools: ('BUCKET_EDGE', 'STANDARD_DENSITY', 'STANDARD_GRAVITY'),
+    tools: ('BUCKET_EDGE', 'FLOOR_ANGLE', 'FLOOR_SHARE', 'STANDARD_DENSITY', 'STANDARD_GRAVITY'),
 }  # fmt: skip
 
 

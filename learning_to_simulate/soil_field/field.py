@@ -41,7 +41,7 @@ CONDITIONS = {
 APART = 0.1
 # Numbers of a frame that are judged: scalars, and what follows from bins about the tool, from how
 # near walls are, and from how far the tool has gone back in the soil.
-_SCALARS = ('lean', 'area', 'carried', 'speed')
+_SCALARS = ('lean', 'area', 'carried', 'speed', 'pressed')
 _OF_BINS = (
     'depth', 'bed_low', 'bed_high', 'uneven', 'wall', 'along', 'backed', 'wall_behind',
 )  # fmt: skip

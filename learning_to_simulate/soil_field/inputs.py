@@ -161,6 +161,8 @@ def depth(expression: str) -> int:
 AROUND = (-0.2, -0.13, -0.085, -0.055, -0.035, -0.017, 0.0, 0.017, 0.035, 0.055, 0.085, 0.13,
           0.2)  # fmt: skip
 AT_TOOL = (-0.16, -0.1, -0.06, -0.04, -0.02, -0.01, 0.0, 0.01, 0.02, 0.04, 0.07, 0.11, 0.16)
+# A blade's load is as good without the cut at the others.
+CUT_AT_BLADE = (-0.1, -0.06, -0.04, -0.02, 0.0, 0.02, 0.04, 0.07, 0.11)
 # The last passage fades over so much travel, m.
 RECENT = 0.15
 # Soil farther behind the tool is at rest, and few drives of a wheel show it: all of it counts as so
@@ -178,8 +180,12 @@ _MEMORY = tuple(Row(f'{name}_{i}') for i in _MEMORIES for name in ('along', 'up'
 # The networks of a wheel err more with it.
 _PACE = tuple(Row(f'pace_{i}', 0.1) for i in (0, 2, 3))
 _AHEAD = Row('ahead', 0.1, 'tanh')
-# Of a blade's load: most runs begin 80 mm before a wall, which bears as well.
-_BEHIND = Row('behind', 0.1, 'tanh')
+# Of a blade's load: most runs begin 80 mm before a wall, which bears as well; a back that comes
+# down on soil bears many times what an edge does.
+_BACK = (
+    Row('behind', 0.1, 'tanh'), Row('pressed', 0.003), Row('sqrt(pressed + 1e-6)', 0.05),
+    Row('pressed', 0.001, 'tanh'),
+)  # fmt: skip
 _BLADE = (
     Row('lean'), Row('half_width', 0.2), Row('friction', 0.15, shift=0.76),
     Row('radius', 0.01, shift=0.014), Row('length', 0.1, shift=0.277), Row('bucket'),
@@ -194,10 +200,12 @@ _BEARS = (
     Row('stress'), Row('below', 0.1, 'tanh'), Row('below', 0.03, 'tanh'),
     Row('below', 0.01, 'fade'),
 )  # fmt: skip
-_LOAD = (
+_MOVES = (
     *_AREA, Row('foremost - tip', 0.1), Row('foremost - tip', 0.002, 'tanh'),
     *_MEMORY, Row('speed', 0.1), _AHEAD,
-    Row('at.cut', 0.03, at=AT_TOOL), Row('at.surface - height', 0.05, at=AT_TOOL),
+)  # fmt: skip
+_SEES = (
+    Row('at.surface - height', 0.05, at=AT_TOOL),
     Row('at.surface - at.cut - height', 0.02, 'tanh', at=AT_TOOL),
     *(Row('at.surface - height', 0.05, squash, at=(0.0,)) for squash in ('relu', 'relu2')),
     Row(_GAP, 0.002, 'tanh', at=(0.0,)), Row(_GAP, 0.0005, 'tanh', at=(0.0,)),
@@ -252,14 +260,15 @@ class Tables(NamedTuple):
     tool: Table
 
 
-def _tables(own, of_load=(), here=(), stands=()):
+def _tables(own, of_load=(), here=(), stands=(), cut_at=AT_TOOL):
+    load = *own, *of_load, *_MOVES, Row('at.cut', 0.03, at=cut_at), *_SEES
     return Tables(
-        Table((*own, *of_load, *_LOAD)), Table(_SIDE), Table((*_HERE, *here)), Table(_OF_PARTICLE),
+        Table(load), Table(_SIDE), Table((*_HERE, *here)), Table(_OF_PARTICLE),
         Table((*own, *_STANDS, *stands)),
     )  # fmt: skip
 
 
 TABLES = {
-    'blade': _tables(_BLADE, (*_PACE, _BEHIND), _STRUCK, _LEFT),
+    'blade': _tables(_BLADE, (*_PACE, *_BACK), _STRUCK, _LEFT, CUT_AT_BLADE),
     'wheel': _tables(_WHEEL, _BEARS),
 }

@@ -414,9 +414,12 @@ class Passage:
         )
         height = ground + c * (s.pose[:, 1] - ground + self.place.grade * s.pose[:, 0])
         below = height - self._radius - self.terrain.floor / self.scale
+        back, under = self.tool.back(s.pose[0, 2]), self.strips.under
+        pressed = np.zeros(n)  # beside the tool there is no back
+        pressed[under] = sweep.pressed(s, self._radius[0], *back)[under]
         of_passage = np.stack(
             [self.carried, np.clip(below, 0.0, BELOW), ahead, sweep.layer(s, self.tool.strikes),
-             behind], axis=1,
+             behind, pressed], axis=1,
         )  # fmt: skip
         scalars = np.concatenate(
             [

@@ -43,8 +43,8 @@ SCALARS = (
 
 # Soil that the tool has moved and not left behind, m2 (`passage`); how far below the tool the floor
 # is, and a wall ahead, m; soil of the layers that the tool can have left, m2: (24); how far behind
-# it a wall is, m.
-OF_PASSAGE = ('carried', 'below', 'ahead', 'layer', 'behind')
+# it a wall is, m; soil in place of the back of a blade, m2: (26).
+OF_PASSAGE = ('carried', 'below', 'ahead', 'layer', 'behind', 'pressed')
 
 Read = Callable[[np.ndarray], np.ndarray]
 
@@ -264,6 +264,22 @@ def layer(state: Sweep, strikes: float, grid: Grid = GRID) -> np.ndarray:
     uncut = 1.0 - np.minimum((state.surface - state.profile) / TOUCH, 1.0)
     passed = np.minimum(state.struck / TOUCH, 1.0)
     return grid.spacing * (uncut * passed * (strikes - state.struck)).sum(axis=1)
+
+
+def pressed(state: Sweep, radius, angle: float, length: float, grid: Grid = GRID) -> np.ndarray:
+    """[B], m2: (26). The underside of the back goes straight on where it touches the circle, and
+    rises backwards by an `angle` of 0 to pi / 2 rad over its `length`, m."""
+    sine, cosine = np.sin(angle), np.cos(angle)
+    slope = max(sine / max(cosine, 1e-9), 1e-6)
+    behind = (state.tip - state.origin)[:, None] - grid.offsets - radius * sine
+    most = state.profile - state.pose[:, 1:2] + radius * cosine
+    # Depths in a bin where the part of the back in it begins and ends: what lies between follows
+    # exactly, so that a load does not feel the bins.
+    begin, end = (
+        np.maximum(most - slope * np.clip(behind + side, 0.0, length * cosine), 0.0)
+        for side in (-0.5 * grid.spacing, 0.5 * grid.spacing)
+    )
+    return (begin**2 - end**2).sum(axis=1) / (2.0 * slope)
 
 
 def cone(values, fall: float) -> np.ndarray:

@@ -12,6 +12,7 @@ sinks farther before the soil yields. A wheel knows the logarithm of rho g scale
 
 import abc
 import dataclasses
+import math
 import numbers
 from typing import ClassVar
 
@@ -21,6 +22,9 @@ STANDARD_DENSITY, STANDARD_GRAVITY = 1730.61, 9.81
 # By how much a bucket's edge counts as blunter than it is, m of the field: plates were taught with
 # radii of 13 to 18 mm, buckets with 4, and what lies between is neither.
 BUCKET_EDGE = 0.01
+# The floor of a bucket as was taught (`mpm.motions.operator_paths.bucket`): its rise behind the
+# edge, rad, and its length as a share of that of the outline.
+FLOOR_ANGLE, FLOOR_SHARE = math.radians(8.0), 0.6
 LEAN = 0.1  # m of the field that a blade turns by with a change of lean of 1 rad
 
 
@@ -102,6 +106,11 @@ class Tool(abc.ABC):
         forward; 0 of a tool that rolls."""
         return 0.0
 
+    def back(self, lean: float) -> tuple[float, float]:
+        """Of its back, which rises behind its edge: the angle over the level (0 to pi / 2 rad) at a
+        lean (rad), and its length, m of the field; a tool that rolls has none."""
+        return 0.0, 0.0
+
     @abc.abstractmethod
     def values(self, soil: Soil) -> np.ndarray:
         """[S'] of `scalars`, in lengths of the field."""
@@ -148,6 +157,12 @@ class Blade(Tool):
 
     def leans(self, lean):
         return -lean if self.bucket else lean
+
+    def back(self, lean):
+        """See `Tool`: a plate; of a bucket the floor of the taught shape."""
+        upright, share = (FLOOR_ANGLE, FLOOR_SHARE) if self.bucket else (np.pi / 2, 1.0)
+        length = share * self.length - 2.0 * self.radius
+        return float(np.clip(upright - lean, 0.0, np.pi / 2)), max(length, 0.0) / self.scale
 
     def turn(self, step):
         """See `Tool`: 0.1 m times the change of lean."""

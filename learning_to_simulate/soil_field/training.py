@@ -7,6 +7,8 @@ Every draw is a function of (seed, step). With the errors e of the members,
   L_surface, L_soil = sum over members of the mean of weight |e / LENGTH|^2                   (17)
 """
 
+import zlib
+
 import numpy as np
 import tensorflow as tf
 import tqdm
@@ -75,35 +77,39 @@ def parts_of(field: SoilField, runs: list[Run], progress=iter, sizes=SIZES) -> d
     """
     if not runs:
         raise ValueError('no runs to learn from')
-    networks = field.networks
     values: list = []
     pools: dict[str, dict] = {name: {} for name in network.HIDDEN}
-
-    def add(name, part):
-        pools[name].setdefault(part.inputs[0].shape[1:], []).append(part)
-
-    for number, run in enumerate(progress(runs)):
-        rng = np.random.Generator(
-            np.random.Philox(key=field.config.seed, counter=[0, 0, 9, number])
-        )
-        motion = None
-        for start, episode in samples.episodes_of(run):
-            motion = samples.motion_of(episode) if motion is None else motion
-            if not start or np.isfinite(run.tool.renewed_after):
-                values.append(field.judged(episode.frames))  # a renewed passage begins like that
-            add('load', samples.load_part(networks, run, episode))
-            add('surface', samples.surface_part(networks, episode, motion, rng))
-        if run.particles is not None:
-            add('soil', samples.soil_part(networks, run, rng))
-        for copy in copies_of(run, sizes):
-            for _, episode in samples.episodes_of(copy):
-                add('load', samples.load_part(networks, copy, episode))
+    for run in progress(runs):
+        judged, parts = parts_of_run(field, run, sizes)
+        values += judged
+        for name, part in parts:
+            pools[name].setdefault(part.inputs[0].shape[1:], []).append(part)
     seen = np.concatenate(values)
     lows, highs = seen.min(axis=0).tolist(), seen.max(axis=0).tolist()
     for name, low, high in zip(field.judged_names, lows, highs, strict=True):
         if name not in CONDITIONS:  # no wall is as good as one far away
             field.ranges[name] = [0.0 if name.startswith('wall') else low, high]
     return {name: [_joined(some) for some in pool.values()] for name, pool in pools.items()}
+
+
+def parts_of_run(field: SoilField, run: Run, sizes=SIZES) -> tuple[list, list]:
+    """What is judged of a run [T, J], by episode, and the samples (name of a network, `Part`) of it
+    and its copies. Its places are a draw of its name: all seeds learn from the same ones."""
+    networks, values, parts, motion = field.networks, [], [], None
+    name = zlib.crc32(f'{run.kind} {run.case}'.encode())
+    rng = np.random.Generator(np.random.Philox(key=0, counter=[0, 0, 9, name]))
+    for start, episode in samples.episodes_of(run):
+        motion = samples.motion_of(episode) if motion is None else motion
+        if not start or np.isfinite(run.tool.renewed_after):
+            values.append(field.judged(episode.frames))  # a renewed passage begins like that
+        parts.append(('load', samples.load_part(networks, run, episode)))
+        parts.append(('surface', samples.surface_part(networks, episode, motion, rng)))
+    if run.particles is not None:
+        parts.append(('soil', samples.soil_part(networks, run, rng)))
+    for copy in copies_of(run, sizes):
+        for _, episode in samples.episodes_of(copy):
+            parts.append(('load', samples.load_part(networks, copy, episode)))
+    return values, parts
 
 
 def copies_of(run: Run, sizes=SIZES) -> list[Run]:

@@ -129,6 +129,34 @@ def test_scalars_and_channels_have_their_names():
     np.testing.assert_allclose(bins[..., sweep.SURFACE], state.surface - level[:, None], atol=1e-7)
 
 
+@pytest.mark.parametrize('lean_deg', [1.0, 30.0, 59.0, 88.0])
+@pytest.mark.parametrize('depth', [0.004, 0.03, 0.11])
+def test_soil_in_place_of_the_back_is_that_under_its_line(lean_deg, depth):
+    """(26) of a plate that was put into level soil, which nothing has cut: a triangle, or less
+    where the back ends; by a fine sum over the line itself."""
+    lean, length = np.radians(lean_deg), 0.2
+    tip = 0.0123
+    pose = np.array([[tip, RADIUS * np.sin(lean) - depth, lean]])
+    state = sweep.start(pose, lambda u: np.zeros_like(u))
+    pressed = sweep.pressed(state, RADIUS, np.pi / 2 - lean, length)
+    t = (np.arange(20000) + 0.5) / 20000 * length  # along the back, from where it meets the circle
+    below = np.maximum(-(pose[0, 1] - RADIUS * np.sin(lean) + t * np.cos(lean)), 0.0)
+    along = length / 20000 * np.sin(lean)
+    assert pressed[0] == pytest.approx(below.sum() * along, rel=1e-3, abs=1e-9)
+
+
+def test_a_back_that_follows_its_edge_meets_no_soil():
+    path = np.stack([np.linspace(0.0, 0.3, 31), np.full(31, -0.02), np.full(31, 0.5)], axis=1)
+    state = run(path, np.zeros(30), np.zeros_like)[-1]
+    pressed = sweep.pressed(state, RADIUS, np.pi / 2 - 0.5, 0.2)
+    np.testing.assert_allclose(pressed, 0.0, atol=1e-9)
+    # Put straight down, it does; a wheel has no back.
+    down = path[[0, 0, 0]] + [[0, 0.1, 0], [0, 0.05, 0], [0, -0.02, 0]]
+    state = run(down, np.zeros(2), np.zeros_like)[-1]
+    assert (sweep.pressed(state, RADIUS, np.pi / 2 - 0.5, 0.2) > 2e-4).all()
+    assert not np.any(sweep.pressed(state, RADIUS, 0.0, 0.0))
+
+
 def test_a_tool_that_halts_keeps_its_memory_and_one_that_turns_back_forgets():
     path = np.array([[0.0, -0.03, 0.0], [0.1, -0.03, 0.0], [0.1, -0.03, 0.0], [0.095, -0.03, 0.0]])
     states = run(path, np.zeros(3))

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from learning_to_simulate.soil_field.tools import Blade, Soil, Wheel
+from mpm.motions.operator_paths import BUCKET_RADII, bucket
 
 
 def test_a_blade_as_wide_as_those_taught_is_its_own_scale():
@@ -50,3 +51,20 @@ def test_turns():
 def test_values_that_nothing_has_are_refused(kind, values):
     with pytest.raises(ValueError, match=next(iter(values))):
         kind(**values)
+
+
+def test_the_back_of_a_plate_is_its_middle_line_and_of_a_bucket_its_floor():
+    angle, length = Blade(0.3, radius=0.01, length=0.25).back(np.radians(25.0))
+    assert (np.degrees(angle), length) == pytest.approx((65.0, 0.23))
+    assert Blade().back(0.0)[0] == Blade().back(-0.3)[0] == np.pi / 2  # it stands on its edge
+    assert Blade(1.2, radius=0.04, length=0.6).back(0.0)[1] == pytest.approx(0.26)  # of the field
+    assert Wheel().back(1.0) == (0.0, 0.0)
+    lean = np.radians(-20.0)
+    for inner in BUCKET_RADII:  # of what was taught, the outline as it is
+        outline = np.array(bucket(inner, 0.4, False)['outline'])
+        floor, height = outline[1], np.ptp(outline[:, 1])
+        tool = Blade(0.4, radius=0.004, length=height, bucket=1.0)
+        angle, length = tool.back(lean)
+        assert angle == pytest.approx(np.arctan2(floor[1], floor[0]) - lean, abs=np.radians(4.0))
+        assert length == pytest.approx(np.hypot(*floor), rel=0.15)
+    assert tool.back(np.radians(20.0))[0] == 0.0

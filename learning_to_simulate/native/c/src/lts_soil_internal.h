@@ -53,6 +53,7 @@ typedef struct {
   float share[3][LTS_SOIL_LANES];
   float here[LTS_SOIL_CHANNELS][LTS_SOIL_LANES];
   float area[LTS_SOIL_LANES], foremost[LTS_SOIL_LANES], carried[LTS_SOIL_LANES], layer[LTS_SOIL_LANES];
+  float pressed[LTS_SOIL_LANES];
   float gate[LTS_SOIL_LANES];
   size_t which[LTS_SOIL_LANES];
   int knows_tool; /* whether the inputs of all lanes hold what one strip shows of the tool */

@@ -89,6 +89,7 @@ int lts_soil_find_loads(lts_soil *soil, const lts_passage *p, int members, float
       at->foremost[i] = soil->scalars[under + k][LTS_SOIL_FOREMOST];
       at->carried[i] = soil->scalars[under + k][LTS_SOIL_OF_PASSAGE(m, CARRIED)];
       at->layer[i] = soil->scalars[under + k][LTS_SOIL_OF_PASSAGE(m, LAYER)];
+      at->pressed[i] = soil->scalars[under + k][LTS_SOIL_OF_PASSAGE(m, PRESSED)];
       other[i] = !several ? 0 : i % 2 ? under + k + 1 : under + k - 1;
       base[i] = soil->scalars[0][LTS_SOIL_TIP];
     }

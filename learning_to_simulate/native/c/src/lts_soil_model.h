@@ -26,14 +26,17 @@ enum {
 #define LTS_SOIL_JUDGED_SPEED 3 /* the number of the speed among what is judged */
 
 /* Scalars of a frame that come from the path; then memories [LTS_SOIL_MEMORIES][LTS_SOIL_MOTIONS], those of the
- * tool, what is carried, how far below it the floor and ahead a wall is, what it can have left, and how far behind
- * it a wall is. */
+ * tool, what is carried, how far below it the floor and ahead a wall is, what it can have left, how far behind it a
+ * wall is, and (26). */
 enum {
   LTS_SOIL_TIP = 0, LTS_SOIL_HEIGHT = 1, LTS_SOIL_LEAN = 2, LTS_SOIL_AREA = 3, LTS_SOIL_FOREMOST = 4,
   LTS_SOIL_WAY = 5, LTS_SOIL_SPEED = 6, LTS_SOIL_MEMORY = 7, LTS_SOIL_OWN = 23
 };
 /* Of those behind the tool's. */
-enum { LTS_SOIL_CARRIED = 0, LTS_SOIL_BELOW = 1, LTS_SOIL_AHEAD = 2, LTS_SOIL_LAYER = 3, LTS_SOIL_BEHIND = 4 };
+enum {
+  LTS_SOIL_CARRIED = 0, LTS_SOIL_BELOW = 1, LTS_SOIL_AHEAD = 2, LTS_SOIL_LAYER = 3, LTS_SOIL_BEHIND = 4,
+  LTS_SOIL_PRESSED = 5
+};
 #define LTS_SOIL_OF_PASSAGE(model, scalar) (LTS_SOIL_OWN + (model)->n_own + LTS_SOIL_##scalar)
 
 /* Layers of M networks, each from the first to the last. */
@@ -55,7 +58,7 @@ struct lts_soil_model {
   int32_t n_column, n_beside;
   double beside_width, across[5]; /* across: where a strip is read, in its widths */
   /* Tool and soil, see `tools.py`. */
-  double taught_widths[2], rim, bucket_edge, lean_length, standard_density, standard_gravity;
+  double taught_widths[2], rim, bucket_edge, floor_angle, floor_share, lean_length, standard_density, standard_gravity;
   /* Passage. */
   double ahead, below_tool, even, max_step, set_down, factor[2]; /* factor: of (20) */
   double flat, steep, relaid, even_slope;                        /* of a slope that is seen as level */

@@ -117,9 +117,11 @@ static void find_conditions(const lts_soil *soil, const lts_passage *p, const lt
 static void find_judged(const lts_soil *soil, const lts_passage *p, const lts_pose *pose, int bears,
                         double *values) {
   const lts_soil_model *m = soil->model;
-  const int path[4] = {LTS_SOIL_LEAN, LTS_SOIL_AREA, LTS_SOIL_OF_PASSAGE(m, CARRIED), LTS_SOIL_SPEED};
+  enum { N_PATH = 5 };
+  const int path[N_PATH] = {LTS_SOIL_LEAN, LTS_SOIL_AREA, LTS_SOIL_OF_PASSAGE(m, CARRIED), LTS_SOIL_SPEED,
+                            LTS_SOIL_OF_PASSAGE(m, PRESSED)};
   for (int i = 0; i < m->n_named; ++i) {
-    const int column = i < 4 ? path[i] : LTS_SOIL_OWN + i - 4;
+    const int column = i < N_PATH ? path[i] : LTS_SOIL_OWN + i - N_PATH;
     float most = soil->scalars[0][column];
     for (int j = 1; j < p->s.n_strip; ++j) {
       if (soil->scalars[j][column] > most) most = soil->scalars[j][column];
@@ -133,7 +135,7 @@ static void find_judged(const lts_soil *soil, const lts_passage *p, const lts_po
     return;
   }
   for (int i = 0; i < m->n_judged; ++i) {
-    if (i < 4 || i >= m->n_named) values[i] = m->middle[i];
+    if (i < N_PATH || i >= m->n_named) values[i] = m->middle[i];
   }
 }
 

@@ -115,6 +115,37 @@ static double layer(const lts_soil *soil, const lts_passage *p, int strip) {
   return m->spacing * sum;
 }
 
+/* (26), of strips [j] under the tool; those beside it have no back. */
+static void find_pressed(const lts_soil *soil, const lts_passage *p, double found[LTS_SOIL_STRIPS]) {
+  const lts_soil_model *m = soil->model;
+  const lts_soil_tool *tool = &soil->tool;
+  const int is_bucket = tool->bucket > 0.0, several = p->s.n_strip > 1;
+  const int under = several ? m->n_beside : 0, count = several ? m->n_column : 1;
+  for (int j = 0; j < p->s.n_strip; ++j) found[j] = 0.0;
+  if (m->kind != LTS_SOIL_BLADE) return;
+  const double right = 0.5 * 3.14159265358979323846; /* `Blade.back` */
+  const double angle = fmin(fmax((is_bucket ? m->floor_angle : right) - p->s.pose[2], 0.0), right);
+  const double length = fmax((is_bucket ? m->floor_share : 1.0) * tool->length - 2.0 * tool->radius, 0.0);
+  const double sine = sin(angle), cosine = cos(angle), du = m->spacing, last = length / soil->scale * cosine;
+  const double slope = fmax(sine / fmax(cosine, 1e-9), 1e-6);
+  const double from = p->s.pose[0] - p->s.origin - soil->radius * sine; /* where it leaves the circle */
+  const double level = p->s.pose[1] - soil->radius * cosine;
+  const int begin = (int)fmax(floor((from - last) / du) + m->n_behind, 0.0);
+  const int end = (int)fmin(ceil(from / du) + m->n_behind + 1.0, (double)m->n_bin);
+  for (int j = under; j < under + count; ++j) {
+    const double *q = p->profile + LTS_SOIL_ROW(soil, j);
+    double sum = 0.0;
+    for (int k = begin; k < end; ++k) {
+      const double behind = from - lts_soil_offset(m, k);
+      for (int side = -1; side < 2; side += 2) { /* where the part of the back in the bin begins and ends */
+        const double depth = q[k] - level - slope * fmin(fmax(behind + 0.5 * side * du, 0.0), last);
+        if (depth > 0.0) sum -= side * depth * depth;
+      }
+    }
+    found[j] = sum / (2.0 * slope);
+  }
+}
+
 /* Lowest height at `u` of a circle that goes straight between two centres; infinite where it has not been: (1). */
 static double underside(double u, const double before[2], const double after[2], double radius) {
   const double *centres[2] = {before, after};
@@ -249,6 +280,8 @@ static void see_scalars(lts_soil *soil, const lts_passage *p) {
   const double owed = lts_soil_owed(soil, p);
   /* Soil hardly knows time: a tool that is faster than any that was taught feels what the fastest did. */
   const double fastest = m->limits[3 * m->n_judged + LTS_SOIL_JUDGED_SPEED];
+  double pressed[LTS_SOIL_STRIPS];
+  find_pressed(soil, p, pressed);
   for (int j = 0; j < w->n_strip; ++j) {
     float *s = soil->scalars[j];
     s[LTS_SOIL_TIP] = (float)(w->pose[0] - w->origin);
@@ -272,6 +305,7 @@ static void see_scalars(lts_soil *soil, const lts_passage *p) {
     s[LTS_SOIL_OF_PASSAGE(m, AHEAD)] = (float)fmin(ahead, m->ahead);
     s[LTS_SOIL_OF_PASSAGE(m, LAYER)] = (float)layer(soil, p, j);
     s[LTS_SOIL_OF_PASSAGE(m, BEHIND)] = (float)fmin(behind, m->ahead);
+    s[LTS_SOIL_OF_PASSAGE(m, PRESSED)] = (float)pressed[j];
   }
 }
 

@@ -111,6 +111,8 @@ static void scalar_of(const reading *r, int index, float *x) {
     EACH(r->places->carried[i]);
   } else if (index == LTS_SOIL_OF_PASSAGE(r->soil->model, LAYER)) {
     EACH(r->places->layer[i]);
+  } else if (index == LTS_SOIL_OF_PASSAGE(r->soil->model, PRESSED)) { /* of the load alone */
+    EACH(r->places->pressed[i]);
   } else { /* all strips share it */
     const float value = r->soil->scalars[0][index];
     EACH(value);
