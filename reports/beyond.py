@@ -66,12 +66,13 @@ def table(path: str) -> str:
 
 def separations(path: str) -> str:
     """Error of the force over the force, of frames that are flagged and of others."""
-    rows = [
-        [f'{scene}: {name}', f'{100 * of["flagged_frames"]:.0f}', of['error_flagged'],
-         of['error_inside'], of['error_flagged'] / of['error_inside']]
-        for scene, found in files.read_json(path)['scenes'].items()
-        for name, of in found['separation'].items()
-    ]  # fmt: skip
+    rows = []
+    for scene, found in files.read_json(path)['scenes'].items():
+        for name, of in found['separation'].items():
+            flagged, inside = of.get('error_flagged'), of['error_inside']  # none is flagged: None
+            ratio = None if flagged is None else flagged / inside
+            share = f'{100 * of["flagged_frames"]:.0f}'
+            rows.append([f'{scene}: {name}', share, flagged, inside, ratio])
     header = 'runs', 'frames flagged, %', 'their error', 'of others', 'ratio'
     return markdown.table(header, rows)
 
