@@ -78,7 +78,7 @@ def known_soils(field) -> dict[str, list[dict]]:
     """Fits of runs of the data of record: those that calibrate, and those that judge."""
     from learning_to_simulate.soil_field import digs
 
-    cases = {}
+    cases: dict[tuple[str, str], dict] = {}
     for folder in DATA:
         for split, of in dataset.read_metadata(folder)['cases'].items():
             cases |= {(split, str(case['case'])): case for case in of}
