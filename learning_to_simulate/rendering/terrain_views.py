@@ -77,7 +77,7 @@ def figure(
     aspect = sides[up] / sides[across]
     is_one = len(moments) == 1
     columns, map_rows = (len(maps), 1) if is_one else (len(moments), len(maps))
-    wide = WIDTH / max(columns, 2)
+    wide = WIDTH / max(columns, 1 if aspect < 0.5 else 2)
     high = 0.3 * WIDTH if is_one else 0.42 * wide
     rows = [high, *[wide * min(max(aspect, 0.25), 1.0)] * map_rows, 1.7]
     with rc_context(STYLE):
