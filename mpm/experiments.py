@@ -42,9 +42,6 @@ class Experiment:
         """Returns the momentum [3] of the soil, N s."""
         return self.mass * self.particles[:, V : V + 3].sum(axis=0)
 
-    def keep(self, rows: np.ndarray) -> None:
-        self.particles = self.particles[rows]
-
     def advance(
         self, seconds: float, gravity: float = EARTH_GRAVITY, body=None, pose=None
     ) -> float:
@@ -72,7 +69,8 @@ def weightless_soil(modulus: float = 1.5e6) -> Experiment:
     block = Bin((0.4, 0.1, 0.8), 0.02, 0.04, (30, 8, 60), 1, 0.5, ())
     experiment = Experiment(room, block, make_soil(modulus, 0.76), lift=0.15)
     across = experiment.particles[:, [0, 2]]
-    experiment.keep(np.abs(across - CORNER - [0.2, 0.4]).max(axis=1) < 0.1)
+    is_kept = np.abs(across - CORNER - [0.2, 0.4]).max(axis=1) < 0.1
+    experiment.particles = experiment.particles[is_kept]
     return experiment
 
 

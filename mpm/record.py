@@ -7,25 +7,8 @@
     python -m mpm.record --output_path=raw --splits=valid,test
 
 Raw runs go to OUTPUT_PATH/excavation and OUTPUT_PATH/wheel (and folders inside for other bins),
-part by part in this order, so that what teaches most is there first:
-
-    operator          204 paths of the blade, six kinds that take turns
-    machine           90: pressed, set down, pulled by actuators
-    beside            60 paths beside an earlier pass
-    soils             60 paths in other soils
-    tools             60 paths with other blades and with buckets
-    trench            30 long cuts
-    spread            60 cuts whose heap is spread
-    backdrag          60 cuts whose heap is drawn back
-    brief             60 short paths straight down and on, each with a tool and soil of its own
-    excavation_grid   40 of the 250 published cases
-    wheel_free        120 free drives of the wheel, four kinds that take turns
-    wheel_height      60 at a height that is given
-    wheels            40 wheels of other sizes
-    grousers          30 wheels with grousers
-    wheel_brief       300 short drives, each with a wheel and soil of its own
-    wheel_rut         40 short drives over the rut of an earlier pass, likewise
-    wheel_grid        40 of the 243 published cases
+part by part in the order of `PARTS`, so that what teaches most is there first; `mpm/README.md` says
+what the kinds of runs are.
 
 Any beginning of a part holds kinds and splits in proportion. A command that was interrupted,
 in whatever way, goes on where it stopped when it is given again. `digests.json` in each folder
@@ -55,13 +38,10 @@ from pca_tools.files import read_json, write_json
 PARTS = {
     'operator': (scenes.EXCAVATION, (*operator_paths.TURNS, 'halts')),
     'machine': (scenes.EXCAVATION, machine_drives.KINDS),
-    'beside': (scenes.EXCAVATION, ('beside',)),
-    'soils': (scenes.EXCAVATION, ('soils',)),
-    'tools': (scenes.EXCAVATION, ('tools',)),
-    'trench': (scenes.EXCAVATION, ('trench',)),
-    'spread': (scenes.EXCAVATION, ('spread',)),
-    'backdrag': (scenes.EXCAVATION, ('backdrag',)),
-    'brief': (scenes.EXCAVATION, ('brief',)),
+    **{
+        kind: (scenes.EXCAVATION, (kind,))
+        for kind in ('beside', 'soils', 'tools', 'trench', 'spread', 'backdrag', 'brief')
+    },
     'excavation_grid': (scenes.EXCAVATION, ()),
     'wheel_free': (scenes.WHEEL, wheel_drives.TURNS),
     'wheel_height': (scenes.WHEEL, ('height',)),
@@ -143,10 +123,6 @@ def digests_of(folder: str) -> dict[str, str]:
     return dict(sorted(found.items()))
 
 
-def compare(found: dict[str, str], expected: dict[str, str]) -> list[str]:
-    return sorted(case for case in found.keys() & expected.keys() if found[case] != expected[case])
-
-
 def make(
     parts, output_path: str, num_processes: int, selection: Selection = ALL, where: str = ''
 ) -> dict[str, dict]:
@@ -209,9 +185,10 @@ def main(values) -> int:
     where = values.output_path, values.num_processes, selection, values.cluster
     found, code = make(values.parts, *where), 0
     for name, digests in found.items():
-        other = compare(digests, expected.get(name, {}))
-        same = len(digests.keys() & expected.get(name, {}).keys()) - len(other)
-        print(f'{name}: {len(digests)} runs' + (f', {same} as expected' if expected else ''))
+        both = digests.keys() & expected.get(name, {}).keys()
+        other = sorted(case for case in both if digests[case] != expected[name][case])
+        same = f', {len(both) - len(other)} as expected' if expected else ''
+        print(f'{name}: {len(digests)} runs{same}')
         if other:
             logging.error('%s: %d runs differ: %s', name, len(other), ', '.join(other[:20]))
             code = 1

@@ -126,7 +126,7 @@ class Simulation:
             np.sqrt(stiffness[is_free] / mass[is_free]), damping[is_free] / mass[is_free]
         )
         if not (rate * self.dt <= STIFFEST).all():
-            raise stability.UnstableTimeStepError(
+            raise ValueError(
                 f'an actuator of {stiffness} N/m and {damping} N s/m on {mass} kg answers at '
                 f'{rate.max():.4g} 1/s; at most {STIFFEST / self.dt:.4g} is stable with steps of '
                 f'{self.dt:.4g} s'

@@ -15,10 +15,6 @@ VELOCITY_CFL = 0.5  # cells that soil may cross between exchanges, and a body in
 SPRAY_CFL = 2.0  # cells that a single grain may fly between exchanges
 
 
-class UnstableTimeStepError(ValueError):
-    """A time step above the limit of the explicit scheme."""
-
-
 def wave_speed(soil: Soil) -> float:
     """Returns the speed of the pressure wave sqrt((K + 4 G / 3) / rho) in m/s."""
     return math.sqrt((soil.bulk_modulus + 4.0 * soil.shear_modulus / 3.0) / soil.bulk_density)
@@ -43,10 +39,10 @@ def max_time_step(soil: Soil, dx: float) -> float:
 
 
 def check_time_step(dt: float, soil: Soil, dx: float) -> None:
-    """Refuses a step that the explicit scheme cannot take, as `UnstableTimeStepError`."""
+    """Refuses a step that the explicit scheme cannot take (ValueError)."""
     limit = max_time_step(soil, dx)
     if not 0.0 < dt <= limit * (1.0 + 1e-12):
-        raise UnstableTimeStepError(
+        raise ValueError(
             f'time step {dt:.4g} s is not in (0, {limit:.4g}] s: CFL number '
             f'{dt * wave_speed(soil) / dx:.3g}, limit {CFL:.3g} '
             f'(dx {dx:.4g} m, wave speed {wave_speed(soil):.4g} m/s)'
@@ -54,8 +50,8 @@ def check_time_step(dt: float, soil: Soil, dx: float) -> None:
 
 
 def check_body_motion(path: np.ndarray, reach: float, dt: float, dx: float, start: float) -> None:
-    """Refuses, as `UnstableTimeStepError`, a body that jumps over cells: soil could pass through it
-    between two steps.
+    """Refuses a body that jumps over cells (ValueError): soil could pass through it between two
+    steps.
 
     Args:
         path: float64 [steps + 1, 3 or 4], its poses at the steps' ends, x and y in m (constant
@@ -68,7 +64,7 @@ def check_body_motion(path: np.ndarray, reach: float, dt: float, dx: float, star
     travel = np.hypot(change[:, 0], change[:, 1]) + reach * np.abs(change[:, 2])
     worst = int(np.argmax(travel))
     if not travel[worst] <= VELOCITY_CFL * dx:
-        raise UnstableTimeStepError(
+        raise ValueError(
             f'at {start + worst * dt:.3f} s the body moves at {travel[worst] / dt:.4g} m/s (tip or '
             f'rim included), {travel[worst] / dx:.3g} cells a step of {dt:.4g} s; at most '
             f'{VELOCITY_CFL} ({VELOCITY_CFL * dx / dt:.4g} m/s) is resolved'

@@ -74,8 +74,7 @@ def motion_of(scene: scenes.Scene, case: int | str | Recording, tool: dict | Non
         raise ValueError(f'the tool {tool["name"]!r} does not belong into the scene {scene.name!r}')
     usual = scenes.FRAMES - 1
     if isinstance(case, Recording):
-        case = dataclasses.replace(case, tool=tool or case.tool)
-        drive, parameters, seconds = recorded_drive(scene, case)
+        drive, parameters, seconds = recorded_drive(scene, case, tool)
         frames = math.ceil(seconds * scenes.FRAME_RATE - 1e-6)
         ground = scenes.ground_of(scene, parameters)
         return Motion(case.case, drive, parameters, max(frames, usual), ground)

@@ -48,8 +48,6 @@ class Recording:
     path: str  # of the CSV file
     like_case: int  # case of the grid whose soil, gravity, wheel and load are used (wheel)
     blade_width: float = bodies.BLADE_WIDTH  # m (excavation)
-    # `bodies.check_tool`; None: the blade of that width, the wheel of that case
-    tool: dict | None = None
 
     @property
     def case(self) -> str:
@@ -119,12 +117,14 @@ def _check_times(path, times, numbers) -> None:
         )
 
 
-def recorded_drive(scene: scenes.Scene, recording: Recording) -> tuple[Drive, dict, float]:
+def recorded_drive(
+    scene: scenes.Scene, recording: Recording, tool: dict | None = None
+) -> tuple[Drive, dict, float]:
     """Returns the drive along the path of a file, its parameters (JSON-compatible), its seconds;
-    raises as `read_rows`."""
+    raises as `read_rows`. Without a tool it is the blade or the wheel that the recording says."""
     from scipy.interpolate import PchipInterpolator  # slow to load, and help does not wait for it
 
-    rows, tool = read_rows(recording.path), recording.tool
+    rows = read_rows(recording.path)
     times = rows['time_s']
     rows.setdefault(ACROSS, np.full(len(times), scene.bin.z_middle))
     curves = [PchipInterpolator(times, rows[name]) for name in (*COLUMNS[1:], ACROSS)]

@@ -20,6 +20,8 @@ rut: `BRIEF` frames in, out of or across the rut of an earlier pass (a lead-in, 
     `operator_paths`) of the same wheel, with a wheel and soil of its own, at a given height.
 """
 
+from functools import partial
+
 import numpy as np
 
 from mpm import bodies, scenes
@@ -136,9 +138,8 @@ def _draw(rng, scene, kind, wheel, mean_load, context) -> tuple[Drive, dict]:
         plot = 'back' if rng.random() < 0.25 else 'slip'
         base, before = _leave_a_rut(rng, story, wheel, base, plot == 'back')
     begin = story.time
-    {'stops': _stops, 'reverse': _reverse, 'back': _back}.get(plot, _slip)(
-        rng, story, begin + seconds
-    )
+    draw = {'stops': _stops, 'reverse': _reverse, 'back': partial(_slip, direction=-1.0)}
+    draw.get(plot, _slip)(rng, story, begin + seconds)
     rim, travel = story.levels('rim'), story.levels('travel')
     shown = begin + np.linspace(0.0, seconds, frames + 1)
     parameters = {'plot': plot, 'rim_speed_max_m_s': round(float(np.abs(rim(shown)).max()), 6)}
@@ -222,10 +223,6 @@ def _bobbing(rng, base, wheel, seconds, up) -> Levels:
 def _slip(rng, story, seconds, direction=1.0) -> None:
     while story.time < seconds:
         story.roll(rng.uniform(0.5, 1.5) * min(seconds / 3.0, 1.0), direction)
-
-
-def _back(rng, story, seconds) -> None:
-    _slip(rng, story, seconds, -1.0)
 
 
 def _stops(rng, story, seconds) -> None:

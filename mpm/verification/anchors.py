@@ -51,31 +51,30 @@ class Wheel:
     tool: dict
     load: float
     ground: scenes.Ground
-    slips: tuple
-    drawbar: tuple
-    sinkage: tuple
-    torque: tuple
+    published: dict
 
 
 _DING = {'name': 'ding', 'radius': 0.15735, 'width': 0.165}
 _DING_SOIL = scenes.Ground(31.9, 1605.0)
 WHEELS = {
     'Ding, smooth': Wheel(
-        _DING, 80.0, _DING_SOIL, (0.0, 0.1, 0.2, 0.3, 0.4, 0.6),
-        (-6.5, 11.0, 14.5, 15.0, 15.0, 15.0), (5.0, 5.5, 7.5, 10.0, 12.5, 17.5),
-        (0.0, 3.0, 4.2, 4.8, 5.0, 5.3),
+        _DING, 80.0, _DING_SOIL,
+        {0.0: (-6.5, 5.0, 0.0), 0.1: (11.0, 5.5, 3.0), 0.2: (14.5, 7.5, 4.2),
+         0.3: (15.0, 10.0, 4.8), 0.4: (15.0, 12.5, 5.0), 0.6: (15.0, 17.5, 5.3)},
     ),
     'Ding, 30 lugs of 10 mm': Wheel(
         _DING | {'grousers': {'count': 30, 'height': 0.01, 'thickness': 0.005}}, 80.0, _DING_SOIL,
-        (0.0, 0.1, 0.2, 0.3, 0.4, 0.6), (-6.5, 14.0, 20.0, 22.0, 23.0, 24.5),
-        (4.5, 5.0, 7.5, 10.5, 14.0, 27.0), (0.0, 3.5, 5.0, 5.8, 6.3, 7.2),
+        {0.0: (-6.5, 4.5, 0.0), 0.1: (14.0, 5.0, 3.5), 0.2: (20.0, 7.5, 5.0),
+         0.3: (22.0, 10.5, 5.8), 0.4: (23.0, 14.0, 6.3), 0.6: (24.5, 27.0, 7.2)},
     ),
     'Wang & Han, smooth': Wheel(
         {'name': 'wang', 'radius': 0.085, 'width': 0.08}, 58.86, scenes.Ground(31.9),
-        (0.1, 0.2, 0.3, 0.4, 0.5), (-0.5, 1.0, 2.0, 2.5, 0.5), (1.0, 4.3, 4.5, 5.7, 8.0),
-        (1.3, 1.55, 1.9, 2.05, 2.05),
+        {0.1: (-0.5, 1.0, 1.3), 0.2: (1.0, 4.3, 1.55), 0.3: (2.0, 4.5, 1.9),
+         0.4: (2.5, 5.7, 2.05), 0.5: (0.5, 8.0, 2.05)},
     ),
 }  # fmt: skip
+# What is measured of a wheel, in the order of what is published: name in the file -> title.
+MEASURED = {'drawbar_N': 'drawbar, N', 'sinkage_mm': 'sinkage, mm', 'torque_N_m': 'torque, N m'}
 
 
 DROPS = (0.05, 0.1, 0.2)  # m, from the lowest point of the ball to the bed
@@ -152,23 +151,14 @@ def measured(wheel: Wheel, slip: float) -> dict:
     }
 
 
-MEASURED = {
-    'drawbar': ('drawbar_N', 'N'),
-    'sinkage': ('sinkage_mm', 'mm'),
-    'torque': ('torque_N_m', 'N m'),
-}
-
-
 def wheel_table(path: str) -> str:
     rows = []
     for name, runs in read_kept(path).get('wheels', {}).items():
-        wheel = WHEELS[name]
-        for slip, *published in zip(wheel.slips, wheel.drawbar, wheel.sinkage, wheel.torque):
+        for slip, published in WHEELS[name].published.items():
             if found := runs.get(str(slip)):
-                ours = (found[key] for key, _ in MEASURED.values())
-                pairs = [(f'{a:.1f}', f'{b:g}') for a, b in zip(ours, published)]
+                pairs = [(f'{found[a]:.1f}', f'{b:g}') for a, b in zip(MEASURED, published)]
                 rows.append((name, f'{slip:g}', *itertools.chain(*pairs)))
-    titles = ((f'{what} {unit}', 'published') for what, (_, unit) in MEASURED.items())
+    titles = ((title, 'published') for title in MEASURED.values())
     return markdown.table(('wheel', 'slip', *itertools.chain(*titles)), rows)
 
 
@@ -183,16 +173,16 @@ def ball_table(path: str) -> str:
 def draw(path: str, output: str) -> None:
     """Draws drawbar, sinkage and torque over slip, measured and published."""
     figure, (row,) = panels(1, 3, (3.7, 3.8))
-    for axes, (what, (key, unit)) in zip(row, MEASURED.items()):
-        for number, (name, runs) in enumerate(read_kept(path).get('wheels', {}).items()):
-            wheel, colour = WHEELS[name], f'C{number}'
-            published = getattr(wheel, what)
-            axes.plot(wheel.slips, published, 'o--', color=colour, label=f'{name}, published')
-            slips = [slip for slip in wheel.slips if str(slip) in runs]
-            ours = [runs[str(slip)][key] for slip in slips]
-            axes.plot(slips, ours, 's-', color=colour, label='this solver')
+    for number, (axes, (what, title)) in enumerate(zip(row, MEASURED.items())):
+        for colour, (name, runs) in enumerate(read_kept(path).get('wheels', {}).items()):
+            slips = WHEELS[name].published
+            theirs = [values[number] for values in slips.values()]
+            axes.plot(list(slips), theirs, 'o--', color=f'C{colour}', label=f'{name}, published')
+            made = [slip for slip in slips if str(slip) in runs]
+            ours = [runs[str(slip)][what] for slip in made]
+            axes.plot(made, ours, 's-', color=f'C{colour}', label='this solver')
         axes.set_xlabel('slip')
-        axes.set_ylabel(f'{what}, {unit}')
+        axes.set_ylabel(title)
     row[0].legend(fontsize=7)
     figure.savefig(output, dpi=120)
 
@@ -200,7 +190,7 @@ def draw(path: str, output: str) -> None:
 def jobs(values=None) -> Jobs:
     found: Jobs = {('balls', str(drop)): partial(dropped, drop) for drop in DROPS}
     for name, wheel in WHEELS.items():
-        for slip in wheel.slips:
+        for slip in wheel.published:
             if slip in RUN_SLIPS:
                 found['wheels', name, str(slip)] = partial(measured, wheel, slip)
     return found

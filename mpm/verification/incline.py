@@ -27,10 +27,10 @@ from tqdm import tqdm
 
 from mpm import columns, packing, scenes
 from mpm.constitutive import Soil, make_soil
-from mpm.grid import PAD, Grid, clear, kick, make_grid, start_nodes
+from mpm.grid import PAD, clear, kick, make_grid, start_nodes
 from mpm.scenes import CORNER, EARTH_GRAVITY, EXCAVATION, Bin, sampled
-from mpm.solver import EXCHANGE, make_block, make_nodes
-from mpm.stability import VELOCITY_CFL, damping_time, steps_in
+from mpm.solver import EXCHANGE, Solver
+from mpm.stability import VELOCITY_CFL, damping_time
 from mpm.transfers import grid_to_particles, particles_to_grid, strain_and_force
 
 FIRST = PAD - 1  # the first node that soil of the first cell touches
@@ -98,16 +98,13 @@ class Incline:
 
     def __init__(self, box: Bin, soil: Soil):
         walls = (-NO_WALL, NO_WALL, PAD, -NO_WALL, NO_WALL, 0)
-        self.grid: Grid = make_grid(box)._replace(walls=walls)
+        self.grid = make_grid(box)._replace(walls=walls)
         self.soil, self.depth = soil, box.size[1]  # m, as packed
         self.period = np.array([box.size[0], box.size[2]])  # along x and z, m
         self._cells = np.round(self.period / box.dx).astype(int)
-        self._volume = packing.particle_volume(box)
-        self._steps = steps_in(EXCHANGE, soil, box.dx)
-        self._dt = EXCHANGE / self._steps
-        self._nodes = make_nodes(self.grid, np.float32)
+        self._solver = Solver(self.grid, soil, packing.particle_volume(box), dtype=np.float32)
         self.particles = packing.lattice(box, seed=0)
-        self.advance(SETTLE_S, 0.0, settling=1.0 - SETTLE_DAMPING * self._dt)
+        self.advance(SETTLE_S, 0.0, settling=1.0 - SETTLE_DAMPING * self._solver.dt)
         self.particles[:, columns.V : columns.S] = 0.0
 
     def _fold(self, array: np.ndarray) -> None:
@@ -121,11 +118,11 @@ class Incline:
 
     def _interval(self, along: float, down: float, settling: float) -> None:
         """One exchange interval under a gravity `along` x and `down` (m/s2); see `solver`."""
-        block = make_block(self.particles, np.float32)
-        nodes, grid, dt = self._nodes, self.grid, self._dt
-        status = np.zeros(2, dtype=np.int64)
+        solver, grid, status = self._solver, self.grid, np.zeros(2, dtype=np.int64)
+        nodes, dt, volume = solver.nodes, solver.dt, solver.volume
+        block = solver.block(self.particles)
         touched_box = particles_to_grid(
-            block, nodes.velocity, grid, 0.5 * dt, self._volume, self.soil, status
+            block, nodes.velocity, grid, 0.5 * dt, volume, self.soil, status
         )
         if status[0] != columns.OK:
             raise ValueError(f'particle {status[1]} left the layer')
@@ -133,13 +130,13 @@ class Incline:
         last = FIRST + self._cells + COPIES
         box = (FIRST, last[0], *touched_box[2:4], FIRST, last[1])
         free, touched = start_nodes(nodes, grid, box, 0.5 * dt * along, 0.5 * dt * down)
-        for k in range(self._steps + 1):
+        for k in range(solver.steps + 1):
             if k > 0:
                 damping = damping_time(self.soil, grid.dx)
-                strain_and_force(block, nodes, grid, dt, self._volume, self.soil, damping)
+                strain_and_force(block, nodes, grid, dt, volume, self.soil, damping)
                 self._fold(nodes.force)
-            share = dt if 0 < k < self._steps else 0.5 * dt
-            drift = dt if k < self._steps else 0.0
+            share = dt if 0 < k < solver.steps else 0.5 * dt
+            drift = dt if k < solver.steps else 0.0
             pull = 1.0 if k > 0 else 0.0
             kick(nodes, grid, free, share, pull * along, pull * down, settling, drift)
         grid_to_particles(block, nodes.velocity, nodes.displacement, grid)

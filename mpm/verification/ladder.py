@@ -21,7 +21,6 @@ from functools import partial
 import numpy as np
 
 from mpm import run, scenes
-from mpm.motions import catalogue
 from mpm.picture import panels
 from mpm.simulation import Settings
 from mpm.verification import bed
@@ -38,13 +37,9 @@ CASES = {
     'excavation:lift_0003': (160, 20, 0),
     'excavation:press_0000': (100, 15, 1),
     'excavation:reverse_0002': (160, 20, 1),
-    'excavation:beside_0002': (80, 20, 0),
-    'excavation:tools_0004': (80, 20, 0),  # a bucket with side plates
     'wheel:122': (80, 20, 0),
     'wheel:slip_0000': (80, 20, 0),
 }
-# In the wide bin only these two are affordable.
-WIDE, WIDE_VARIANTS = ('excavation:beside_0002', 'excavation:tools_0004'), ('base', 'cubic')
 
 
 @dataclasses.dataclass(frozen=True)
@@ -92,7 +87,7 @@ def measured(name: str, variant: Variant) -> dict:
     """
     scene_name, case = name.split(':')
     case = int(case) if case.isdecimal() else case
-    scene = catalogue.in_bin(scenes.SCENES[scene_name], case)
+    scene = scenes.SCENES[scene_name]
     scene = dataclasses.replace(scene, bin=box_of(scene.bin, variant))
     frames, first, _ = CASES[name]
     settings = Settings(exchange=1.0 / (scenes.FRAME_RATE * variant.exchanges))
@@ -236,7 +231,6 @@ def jobs(values=None) -> Jobs:
         ('cases', name, variant): partial(measured, name, VARIANTS[variant])
         for variant in VARIANTS
         for name in CASES
-        if variant in WIDE_VARIANTS or name not in WIDE
     }
 
 

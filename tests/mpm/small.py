@@ -1,16 +1,12 @@
-"""Coarse scenes, their packings and simulations: the same code at a hundredth of the cost; and the
-first motions of each kind, in the scenes as they are."""
+"""Coarse scenes, their packings and simulations: the same code at a hundredth of the cost."""
 
 import dataclasses
 import functools
 import math
-from typing import NamedTuple
 
 import numpy as np
 
-from mpm import bodies, columns, constitutive, packing, run, scenes
-from mpm.motions import catalogue
-from mpm.motions.catalogue import Motion
+from mpm import columns, constitutive, packing, run, scenes
 from mpm.scenes import Scene, sampled
 from mpm.simulation import Settings
 from mpm.solver import make_block
@@ -81,44 +77,3 @@ def fails_at(monkeypatch, failing):
         return whole(scene, case, *arguments)
 
     monkeypatch.setattr(run, 'run_case', run_case)
-
-
-STEPS = 16  # a frame, of a path that is looked at
-DT = 1.0 / 60.0 / STEPS
-
-
-class Drawn(NamedTuple):
-    """A motion, its bin, and its poses at `DT`, float64 [T, 4]: all of them, the recorded ones."""
-
-    motion: Motion
-    box: scenes.Bin
-    whole: np.ndarray
-    poses: np.ndarray
-
-    @property
-    def drive(self):
-        """Of the motion."""
-        return self.motion.drive
-
-    @property
-    def parameters(self):
-        """Of the motion."""
-        return self.motion.parameters
-
-    def depth(self, poses):
-        """Of the lowest point below the flat surface, m."""
-        return self.box.surface - poses[:, 1] - bodies.lowest(self.motion.drive.body, poses[:, 2])
-
-
-@functools.cache
-def drawn(name, kind):
-    """The motions of the first seeds of a kind; few of tools, which are slow to draw."""
-    made, scene = [], scenes.SCENES[name]
-    for seed in range(8 if kind == 'tools' else 30):
-        case = catalogue.seed_case(kind, seed)
-        within = catalogue.in_bin(scene, case)
-        motion = catalogue.motion_of(within, case)
-        whole = motion.drive.pose(np.arange(motion.simulated_frames * STEPS + 1) * DT)
-        recorded = whole[motion.drive.lead_in * STEPS :]
-        made.append(Drawn(motion, within.bin, whole, recorded))
-    return made

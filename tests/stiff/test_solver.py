@@ -181,7 +181,7 @@ def test_blade_that_jumps_over_cells_is_refused():
     limit = 0.5 * small.BLADE.bin.dx / small.simulation(small.BLADE, 186).dt
     simulation(straight(0.99 * limit)).frame()
     for path in (straight(1.01 * limit), straight(1e9), straight(0.0, spin=4.0 * limit)):
-        with pytest.raises(stability.UnstableTimeStepError, match='the body moves'):
+        with pytest.raises(ValueError, match='the body moves'):
             simulation(path).frame()
 
 

@@ -1,12 +1,11 @@
-"""What an id means, and what holds for the motions of all kinds."""
+"""What an id means."""
 
 import numpy as np
 import pytest
 
 from mpm import scenes
-from mpm.motions import beyond, catalogue, checks, operator_paths
+from mpm.motions import catalogue, checks, operator_paths
 from mpm.motions.recording import Recording
-from tests.mpm import small
 
 
 @pytest.mark.parametrize(
@@ -56,14 +55,8 @@ def test_seeds_take_turns_through_the_kinds():
     assert catalogue.select_seeds(scenes.EXCAVATION, '9000-9004, 3') == (
         'smooth_9000', 'stops_9001', 'reverse_9002', 'lift_9003', 'disturbed_9004', 'lift_0003',
     )  # fmt: skip
-    assert catalogue.select_seeds(scenes.EXCAVATION, '9000-9001', 'halts') == (
-        'halts_9000',
-        'halts_9001',
-    )
-    assert catalogue.select_seeds(scenes.WHEEL, '4,5', 'stops,reverse') == (
-        'stops_0004',
-        'reverse_0005',
-    )
+    chosen = catalogue.select_seeds(scenes.WHEEL, '4,5', 'stops,reverse')
+    assert chosen == ('stops_0004', 'reverse_0005')
 
 
 @pytest.mark.parametrize(
@@ -91,30 +84,3 @@ def test_runs_are_named_by_case_or_by_kind_and_seed():
     for names in ([], ['lift_0003', 'lift_3'], ['21', '21'], ['slip_0001'], ['999'], ['0'], ['']):
         with pytest.raises(ValueError):
             catalogue.select_runs(scene, names)
-
-
-KINDS = [
-    (name, kind) for name, kinds in catalogue.KINDS.items() for kind in kinds if kind != beyond.KIND
-]
-# A press goes down by 5 cm in a twentieth of a second.
-QUICK = ('press', 'free', 'actuated')
-
-
-@pytest.mark.parametrize(('name', 'kind'), KINDS)
-def test_motions_fit_into_their_bin_and_are_smooth(name, kind):
-    for drawn in small.drawn(name, kind):
-        drive, whole = drawn.drive, drawn.whole
-        checks.check_drive(drive, drawn.box, drawn.motion.frames, 8)
-        # Where a bucket turns from one lowest corner to the next, its depth is smooth and its
-        # reference point is not.
-        moving = np.stack([whole[:, 0], drawn.depth(whole), *whole.T[2:]], axis=1)
-        if drive.body.is_wheel:
-            moving[:, 1] = whole[:, 1]
-        velocity = np.diff(moving, axis=0) / small.DT
-        acceleration = np.diff(velocity, axis=0) / small.DT
-        assert np.abs(velocity[0]).max() < 1e-3
-        # From rest, and no jump beside the largest value: a step of a millisecond changes little,
-        # where a jump would be all of it.
-        for values in (velocity,) if kind in QUICK else (velocity, acceleration):
-            jump = np.abs(np.diff(values, axis=0)).max(axis=0)
-            assert (jump <= 0.2 * np.abs(values).max(axis=0) + 1e-9).all()

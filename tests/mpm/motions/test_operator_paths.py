@@ -1,40 +1,42 @@
-"""Paths of an operator: within their limits, and of their kind; tools that are drawn."""
+"""Paths of an operator: of their kind, and what comes before their first frame; drawn tools. Every
+change of a path is found by `test_data_of_record.py`."""
 
 import math
 
 import numpy as np
 import pytest
 
-from mpm import bodies
-from mpm.motions.operator_paths import (
-    BUCKET_RADII,
-    FRAMES,
-    KINDS,
-    LAYERS,
-    LEAST_BACKDRAG,
-    PLATE,
-    SHELL,
-    bucket,
-)
-from tests.mpm import small
-from tests.mpm.small import STEPS
+from mpm import bodies, scenes
+from mpm.motions import catalogue
+from mpm.motions.operator_paths import BUCKET_RADII, FRAMES, KINDS, PLATE, SHELL, bucket
+
+STEPS = 16  # a frame, of a path that is looked at
 
 
 @pytest.fixture(params=KINDS)
 def paths(request):
-    """(kind, its paths)."""
-    return request.param, small.drawn('excavation', request.param)
+    """The first motions of a kind, as (motion, poses in steps from the lead-in's beginning on,
+    depths of the lowest point below the flat surface in m)."""
+    made = []
+    for seed in range(8):
+        case = catalogue.seed_case(request.param, seed)
+        scene = catalogue.in_bin(scenes.EXCAVATION, case)
+        motion = catalogue.motion_of(scene, case)
+        times = np.arange(motion.simulated_frames * STEPS + 1) / 60 / STEPS
+        poses = motion.drive.pose(times)
+        lowest = bodies.lowest(motion.drive.body, poses[:, 2])
+        made.append((motion, poses, scene.bin.surface - poses[:, 1] - lowest))
+    return made
 
 
 def test_each_plot_shows_what_it_is_for(paths):
-    kind, made = paths
-    for path in made:
-        x, depth = path.poses[::STEPS, 0], path.depth(path.poses[::STEPS])
-        forward = -np.diff(x) * 60.0
-        is_below = depth > 0.0
+    for motion, poses, depth in paths:
+        start = motion.drive.lead_in * STEPS
+        x, is_below = poses[start::STEPS, 0], depth[start::STEPS] > 0.0
+        kind, plot = motion.parameters['kind'], motion.parameters['plot']
         assert is_below.sum() > (40 if kind in FRAMES else 60)  # about a second in the soil
-        plot = path.parameters['plot']
         assert plot == kind or kind in ('disturbed', 'beside', 'soils', 'tools')
+        forward = -np.diff(x) * 60.0
         if plot in ('smooth', 'halts', 'trench'):
             assert forward.min() > -1e-9
         within_a_frame = (forward[:-2] > 0.03) & (np.abs(forward[2:]) < 1e-9)
@@ -42,54 +44,31 @@ def test_each_plot_shows_what_it_is_for(paths):
         if plot == 'stops':
             still = (np.abs(forward) < 1e-3) & is_below[1:]
             assert still[10:].sum() >= 2 * 15
-        if plot == 'reverse':
-            assert (x - np.minimum.accumulate(x)).max() >= 0.02
-        if plot == 'lift':
-            out = np.flatnonzero(np.diff(is_below.astype(int)) == -1)[0]
-            assert is_below[out + 1 :].sum() >= 45
-        if plot == 'spread':
-            over = -depth[np.argmax(is_below) :]
-            assert (over > LAYERS[0]).sum() >= 30 and over.max() <= LAYERS[1] + 1e-9
-        if plot == 'brief':
-            assert is_below[:20].any() and depth.max() > 0.0199
-        if plot == 'backdrag':
-            # Forward into the soil, over the heap, and back at a height that meets it.
-            turn = np.argmin(x)
-            assert is_below[:turn].sum() >= 40 and (forward[turn:] < 1e-9).all()
-            assert x[-1] - x[turn] >= LEAST_BACKDRAG and depth[turn:].min() > -0.025
-            assert depth[: turn + 1].min() < -0.015
         if kind == 'trench':
-            assert 1.1 < np.ptp(x) < 1.6 and path.motion.frames > 320
+            assert 1.1 < np.ptp(x) < 1.6 and motion.frames > 320
         else:
-            assert path.motion.frames == FRAMES.get(kind, 320)
-    if kind == 'brief':  # no two alike, many of them straight down, some near a wall
-        tools = {str(path.parameters['tool']) for path in made}
-        assert len(tools) == len({path.motion.ground for path in made}) == len(made)
-        sunk = [path.poses[20 * STEPS] - path.poses[0] for path in made]
-        assert sum(x == 0.0 and y < -0.01 for x, y, *_ in sunk) > len(made) / 3
-        starts = [path.poses[0, 0] for path in made]
-        assert min(starts) < 0.4 and max(starts) > 0.75
+            assert motion.frames == FRAMES.get(kind, 320)
 
 
 def test_an_earlier_pass_cuts_the_bed_before_the_first_frame(paths):
-    _, made = paths
-    for path in made:
-        lead = path.whole[: path.drive.lead_in * STEPS + 1]
-        assert path.parameters['lead_in_frames'] == path.drive.lead_in
-        plot, offsets = path.parameters['plot'], path.parameters.get('offsets_m', [])
-        assert (path.drive.lead_in > 0) == bool(offsets) or path.parameters['kind'] != 'beside'
-        if path.parameters['kind'] in ('disturbed', 'beside') or plot == 'disturbed':
-            assert path.drive.lead_in > 120
-        if not path.drive.lead_in:
+    for motion, poses, depth in paths:
+        said, lead_in = motion.parameters, motion.drive.lead_in
+        assert said['lead_in_frames'] == lead_in
+        offsets = said.get('offsets_m', [])
+        assert (lead_in > 0) == bool(offsets) or said['kind'] != 'beside'
+        if said['kind'] in ('disturbed', 'beside') or said['plot'] == 'disturbed':
+            assert lead_in > 120
+        if not lead_in:
             continue
-        depth = path.depth(lead)
+        end = lead_in * STEPS
+        lead, depth = poses[: end + 1], depth[: end + 1]
         assert depth.max() > 0.019 and np.ptp(lead[:, 0]) > 0.1
         # At its end the blade stands still above the flat surface.
         assert depth[-1] < 0.0
         np.testing.assert_allclose(lead[-1], lead[-10 * STEPS], atol=1e-12)
         # Each pass lies where the record says, and the tool changes its place in the air alone.
-        z = lead[:, 3] - path.poses[0, 3]
-        assert not np.ptp(path.poses[:, 3])
+        z = lead[:, 3] - lead[-1, 3]
+        assert not np.ptp(poses[end:, 3])
         for offset in offsets:
             assert (depth[np.abs(z - offset) < 1e-4] > 0.019).any()
         moves = np.abs(np.diff(z)) > 1e-12
