@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from tqdm import tqdm
 
 from mpm import SOLVER_VERSION, packing, raw_run, run, scenes
-from mpm.constitutive import make_soil
 from mpm.motions import catalogue
 from mpm.motions.recording import Recording
 from mpm.simulation import Settings
@@ -97,8 +96,7 @@ class _Job:
 
 @functools.lru_cache(maxsize=1)
 def _packed(box, settings, folder) -> tuple:
-    soil = make_soil(settings.youngs_modulus, scenes.PACKING_MU_S)
-    return packing.settled(box, soil, settings.seed, folder)
+    return packing.settled(box, settings.youngs_modulus, settings.seed, folder)
 
 
 def _name(scene: scenes.Scene, case) -> str:

@@ -12,9 +12,9 @@ import os
 import numpy as np
 
 from mpm import columns
-from mpm.constitutive import PACKED_DENSITY, Soil
+from mpm.constitutive import PACKED_DENSITY, Soil, make_soil
 from mpm.grid import Grid, make_grid
-from mpm.scenes import CORNER, EARTH_GRAVITY, Bin
+from mpm.scenes import CORNER, EARTH_GRAVITY, PACKING_MU_S, Bin
 from mpm.solver import EXCHANGE, Solver
 from pca_tools.files import read_npz, write_npz
 
@@ -74,8 +74,9 @@ def at_rest(particles: np.ndarray, soil: Soil, surface: float, gravity: float) -
     return particles
 
 
-def settle(box: Bin, soil: Soil, seed: int) -> tuple[np.ndarray, dict]:
-    """Gives the lattice the stress of soil at rest on the Earth, and lets it settle.
+def settle(box: Bin, youngs_modulus: float, seed: int) -> tuple[np.ndarray, dict]:
+    """Gives the lattice of a soil (Young's modulus in Pa) the stress of soil at rest on the Earth,
+    and lets it settle.
 
     Returns:
         The particle array [N, COLUMNS], at rest, and its statistics.
@@ -83,7 +84,7 @@ def settle(box: Bin, soil: Soil, seed: int) -> tuple[np.ndarray, dict]:
     Raises:
         ValueError: if the soil does not come to rest, or a step fails (`Solver.advance`).
     """
-    grid = make_grid(box)
+    grid, soil = make_grid(box), make_soil(youngs_modulus, PACKING_MU_S)
     particles = at_rest(lattice(box, seed), soil, box.surface, EARTH_GRAVITY)
     start = particles[:, :3].copy()
     solver = Solver(grid, soil, particle_volume(box))
@@ -116,19 +117,19 @@ def settle(box: Bin, soil: Soil, seed: int) -> tuple[np.ndarray, dict]:
     return particles, statistics
 
 
-def settled(box: Bin, soil: Soil, seed: int, folder: str) -> tuple[np.ndarray, dict]:
-    """Returns the packing kept in `folder`, which is made if absent; ValueError: the one kept there
-    has another seed, size or stiffness."""
+def settled(box: Bin, youngs_modulus: float, seed: int, folder: str) -> tuple[np.ndarray, dict]:
+    """Returns the packing (`settle`) kept in `folder`, which is made if absent; ValueError: the one
+    kept there has another seed, size or stiffness."""
     path = os.path.join(folder, PACKING_FILE)
     if not os.path.exists(path):
-        particles, statistics = settle(box, soil, seed)
+        particles, statistics = settle(box, youngs_modulus, seed)
         write_npz(path, particles=particles, statistics=np.array(json.dumps(statistics)))
     arrays = read_npz(path)
     particles, statistics = arrays['particles'], json.loads(str(arrays['statistics']))
     asked = {
         'seed': seed,
         'particles': int(np.prod(box.lattice)),
-        'bulk_modulus_Pa': soil.bulk_modulus,
+        'bulk_modulus_Pa': make_soil(youngs_modulus, PACKING_MU_S).bulk_modulus,
     }
     kept = {name: statistics[name] for name in asked}
     if kept != asked:

@@ -155,7 +155,7 @@ def _seen(scene, motion, simulation, heights, force, torque) -> dict:
     seen = {
         'positions': particles[:: scene.bin.keep_every].astype(np.float32),
         'heights': heights(particles),
-        'rigid_positions': simulation.rigid_points(),
+        'rigid_positions': bodies.sample_points(motion.drive.body, simulation.pose),
         'force': force,
         'torque': torque,
         'pose': quaternion_pose(simulation.pose),

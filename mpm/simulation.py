@@ -245,10 +245,6 @@ class Simulation:
         deepest = max(0.0, float(depth.max(initial=0.0)) / self.grid.dx)
         return {'deepest_cells': deepest, 'inside': int((depth > 0.25 * self.grid.dx).sum())}
 
-    def rigid_points(self) -> np.ndarray:
-        """Returns the body's sample points [R, 3], m."""
-        return bodies.sample_points(self.drive.body, self.pose)
-
 
 def _means(loads: np.ndarray, parts: int) -> np.ndarray:
     """Means [parts, 6] over equal parts of loads [steps, 6] that are constant within a step."""

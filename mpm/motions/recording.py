@@ -137,17 +137,16 @@ def recorded_drive(
     parameters = {'kind': 'path', 'path_sha256': sha256_of_file(recording.path)}
     if tool is not None:
         parameters['tool'] = tool
-    body = None if tool is None else bodies.tool_body(tool)
     if scene.rigid_motion == 'prescribed':
-        if body is None:
-            body = bodies.make_blade(recording.blade_width)
+        if tool is None:
             parameters['blade_width_m'] = recording.blade_width
+        body = bodies.tool_body(tool) if tool else bodies.make_blade(recording.blade_width)
         return Drive(body, pose), parameters, float(times[-1])
     context = scene.parameters(recording.like_case)
     context.pop('slip_percent')
     if tool is not None:
         context['diameter_m'] = 2.0 * tool['radius']
-    body = body or bodies.make_wheel(context['diameter_m'])
+    body = bodies.tool_body(tool) if tool else bodies.make_wheel(context['diameter_m'])
     load = PchipInterpolator(times, rows.get(LOAD, np.full(len(times), scenes.wheel_load(context))))
     machine = under_load(lambda at: load(np.clip(at, 0.0, times[-1])))
     drive = Drive(body, pose, machine, rest=REST_FRAMES)

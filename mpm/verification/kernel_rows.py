@@ -121,8 +121,8 @@ def packed_soil(scene: Scene, raw_path: str) -> list[Check]:
     """The settled soil carries its weight."""
     settings, folder = Settings(), os.path.join(raw_path, scene.name)
     os.makedirs(folder, exist_ok=True)
+    particles, _ = packing.settled(scene.bin, settings.youngs_modulus, settings.seed, folder)
     soil = make_soil(settings.youngs_modulus, PACKING_MU_S)
-    particles, _ = packing.settled(scene.bin, soil, settings.seed, folder)
     found = bed.settled_soil(scene.bin, particles, soil)
     reaction = f'{scene.name} soil: reaction of walls and floor over weight'
     stress, middle = f'{scene.name} soil: vertical stress over rho g h', 'middle of the bin'

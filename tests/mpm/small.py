@@ -28,7 +28,7 @@ BLADE, WHEEL = coarse(scenes.EXCAVATION), coarse(scenes.WHEEL)
 
 @functools.cache
 def _settled(box):
-    return packing.settle(box, SOIL, 0)
+    return packing.settle(box, 1.5e6, 0)
 
 
 def packed(scene):

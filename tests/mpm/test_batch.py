@@ -139,7 +139,7 @@ def test_processes_make_the_same_runs(tmp_path, short):
 
 def test_disk_that_fills_up_stops_with_the_name_and_loses_nothing(tmp_path, short):
     """A limit on the size of files in place of a full disk: the packing is there, no run fits."""
-    packing.settled(small.BLADE.bin, small.SOIL, 0, str(tmp_path))
+    packing.settled(small.BLADE.bin, 1.5e6, 0, str(tmp_path))
     usual = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, usual[1]))
     try:
@@ -189,4 +189,4 @@ def test_folder_of_another_scene_or_settings_is_refused(tmp_path, short):
     with pytest.raises(ValueError, match='youngs_modulus_Pa'):
         make(tmp_path, 186, youngs_modulus=3e6)
     with pytest.raises(ValueError, match='packing'):
-        packing.settled(small.BLADE.bin, small.SOIL, 7, str(tmp_path))
+        packing.settled(small.BLADE.bin, 1.5e6, 7, str(tmp_path))

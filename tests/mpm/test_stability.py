@@ -57,7 +57,7 @@ def test_soil_diverges_above_the_limit():
     With two steps between exchanges, as at 1.5 MPa on these cells, the exchange damps that.
     """
     soil = make_soil(1.5e7, 0.76)
-    particles, _ = packing.settle(BOX, soil, 0)
+    particles, _ = packing.settle(BOX, 1.5e7, 0)
     calm = disturbance(soil, particles, 1.0)
     assert calm < 0.02
     assert disturbance(soil, particles, 1.8) > 100 * calm
