@@ -96,18 +96,6 @@ def test_small_strain_is_hookes_law():
     assert pressure == pytest.approx(-SOIL.bulk_modulus * np.trace(strain), rel=1e-4)
 
 
-def test_stress_that_acts_leads_by_the_damping_time():
-    """sigma + T d sigma / dt, from two updates; nothing of it is kept."""
-    row = particle(0.999, 100.0, -60.0, -40.0, 50.0, -20.0, 10.0)
-    rate = [-0.1, 0.3, 0.1, 0.0, -0.2, 0.4, 0.2, 0.1, -0.15]
-    plain, damped = row.copy(), row.copy()
-    before = update(row.copy(), np.zeros(9), 1e-4)
-    after = update(plain, rate, 1e-4)
-    acting = update(damped, rate, 1e-4, damping=3e-4)
-    np.testing.assert_array_equal(plain, damped)
-    np.testing.assert_allclose(acting, after + 3.0 * (after - before), rtol=1e-9)
-
-
 def test_soil_that_comes_apart_carries_nothing():
     row = particle(0.9999, 30.0, -10.0, -20.0, 5.0, 0.0, 0.0)
     acting = update(row, [10.0, 0.0, 0.0] * 3, 1e-4)

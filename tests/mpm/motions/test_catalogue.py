@@ -4,28 +4,8 @@ import numpy as np
 import pytest
 
 from mpm import scenes
-from mpm.motions import catalogue, checks, operator_paths
+from mpm.motions import catalogue, operator_paths
 from mpm.motions.recording import Recording
-
-
-@pytest.mark.parametrize(
-    ('case', 'size'),
-    [
-        ('beside_0001', (0.8, 0.15, 1.2)), ('tools_0002', (0.8, 0.15, 1.2)),
-        ('trench_0003', (2.0, 0.15, 1.0)), ('lift_0003', (0.8, 0.15, 0.6)),
-        ('press_0001', (0.8, 0.15, 0.6)), (22, (0.8, 0.15, 0.6)),
-    ],
-)  # fmt: skip
-def test_kinds_have_the_bin_that_they_need(case, size):
-    """The same cells as the scene's own bin, the motion in the middle of its width."""
-    scene = catalogue.in_bin(scenes.EXCAVATION, case)
-    assert scene.bin.size == size
-    assert (scene.bin.dx, scene.bin.dz) == (scenes.EXCAVATION.bin.dx, scenes.EXCAVATION.bin.dz)
-    motion = catalogue.motion_of(scene, case)
-    checks.check_drive(motion.drive, scene.bin, motion.frames, 12)
-    z = motion.drive.pose(np.arange(motion.simulated_frames + 1) / 60)[:, 3]
-    assert 0.5 * (z.min() + z.max()) == pytest.approx(scene.bin.z_middle)
-    assert motion.frames > 320 if case == 'trench_0003' else motion.frames == 320
 
 
 def test_a_tool_of_the_other_scene_is_refused():
