@@ -114,7 +114,7 @@ def define_place_flags() -> None:
 def main(values) -> None:
     started = time.time()
     scene, runs, tool = chosen_runs(values)
-    runs = runs or scenes.mini_cases(scene)
+    runs = runs or scene.mini
     names = ('youngs_modulus', 'seed', 'friction_angle_deg', 'bulk_density', 'gravity', 'slope_deg')
     settings = Settings(**{name: values[name].value for name in (*names, 'tool_friction')})
     new = generate(

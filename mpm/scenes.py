@@ -7,7 +7,6 @@ so that every coordinate is positive. Case numbers are those of the published da
 Sources: Usmani (2023), thesis, section 2.3; Haeri and Skonieczny (2021), Subspace Graph Physics.
 """
 
-import itertools
 import math
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -55,8 +54,10 @@ class Scene:
     rigid_motion: str  # 'prescribed', or 'driven' (rotation and travel given, height free)
     levels: dict  # parameter name -> its values, outermost loop first
     context_names: tuple  # parameters that the dataset gives to the network
-    published: tuple  # cases whose records were published
-    demo_case: int  # reserved for the demonstration; never in the mini set
+    # 40 cases spread over the grid, each level equally often (to one); the published ones are
+    # among them, the demonstration's is not
+    mini: tuple
+    demo_case: int  # reserved for the demonstration
     bin: Bin = field(repr=False, default=None)  # the soil
     # Name -> bin of kinds of runs that do not fit into that one
     other_bins: dict = field(repr=False, default_factory=dict)
@@ -104,12 +105,16 @@ EXCAVATION = Scene(
         'motion': (1, 2),
     },
     context_names=(),
-    published=(186, 146, 123, 213, 22, 99, 78, 118, 216, 231, 188),
+    # Published: 22, 78, 99, 118, 123, 146, 186, 188, 213, 216, 231.
+    mini=(
+        1, 6, 9, 10, 21, 22, 44, 50, 63, 64, 77, 78, 84, 85, 93, 99, 102, 117, 118, 123, 124, 132,
+        139, 146, 155, 159, 166, 177, 186, 188, 195, 197, 210, 212, 213, 216, 227, 231, 239, 242,
+    ),
     demo_case=125,
     bin=_blade_bin(0.8, 0.6),
     # Neighbouring cuts and wide tools; a long cut, whose heap must not reach the walls beside it.
     other_bins={'wide': _blade_bin(0.8, 1.2), 'long': _blade_bin(2.0, 1.0, 5 * 31)},
-)
+)  # fmt: skip
 
 WHEEL = Scene(
     name='wheel',
@@ -122,7 +127,11 @@ WHEEL = Scene(
         'friction_angle_deg': (30.0, 37.0, 43.0),
     },
     context_names=('gravity', 'friction_angle_deg', 'load'),
-    published=(44, 154, 137, 103, 23, 112, 58, 56, 134, 9, 107, 203),
+    # Published: 9, 23, 44, 56, 58, 103, 107, 112, 134, 137, 154, 203.
+    mini=(
+        1, 3, 5, 7, 9, 13, 23, 37, 44, 56, 58, 63, 78, 79, 83, 91, 103, 107, 112, 119, 123, 129,
+        134, 137, 149, 154, 159, 163, 170, 174, 203, 204, 205, 207, 212, 216, 224, 228, 240, 241,
+    ),
     demo_case=122,
     bin=sampled(
         (0.4, 0.058, WHEEL_BIN_WIDTH),
@@ -131,8 +140,8 @@ WHEEL = Scene(
         7,
         0.2,
         ((0.0, 0.7), (0.0, 0.6), (0.0, 0.4)),
-    ),  # fmt: skip
-)
+    ),
+)  # fmt: skip
 
 SCENES = {scene.name: scene for scene in (EXCAVATION, WHEEL)}
 
@@ -176,34 +185,3 @@ def describe(scene: Scene) -> dict:
         'force': True,
         'up_axis': 1,
     }
-
-
-def mini_cases(scene: Scene, count: int = 40) -> tuple:
-    """Returns `count` cases spread over the grid, the published ones among them, sorted.
-
-    After the published ones, each next case is the one whose levels were used least so far; of
-    equal ones, that farthest from all chosen; then the lowest number. No randomness.
-    """
-    sizes = [len(values) for values in scene.levels.values()]
-    grid = np.array(list(itertools.product(*map(range, sizes))))
-    place = grid / (np.array(sizes) - 1)
-    used = [np.zeros(size, dtype=int) for size in sizes]
-    distance = np.full(len(grid), np.inf)
-    chosen = []
-
-    def choose(index):
-        nonlocal distance
-        chosen.append(index)
-        for axis, level in enumerate(grid[index]):
-            used[axis][level] += 1
-        distance = np.minimum(distance, np.linalg.norm(place - place[index], axis=1))
-
-    for case in scene.published:
-        choose(case - 1)
-    while len(chosen) < count:
-        crowd = sum(used[a][grid[:, a]] * sizes[a] for a in range(len(sizes))).astype(float)
-        crowd[chosen] = np.inf
-        crowd[scene.demo_case - 1] = np.inf
-        best = np.flatnonzero(crowd == crowd.min())
-        choose(best[np.argmax(distance[best])])
-    return tuple(sorted(int(i) + 1 for i in chosen))

@@ -140,7 +140,7 @@ def select_runs(scene: scenes.Scene, names: list[str]) -> tuple:
     ids of seeds; 'mini' or 'full' alone are the grid in part or whole. ValueError: one that does
     not exist, or that is named twice; none."""
     if names == ['mini']:
-        return scenes.mini_cases(scene)
+        return scene.mini
     if names == ['full']:
         return tuple(range(1, scene.case_count + 1))
     cases = [int(name) for name in names if name.strip().isdecimal()]

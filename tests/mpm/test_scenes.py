@@ -16,6 +16,11 @@ def test_numbers_are_nested_loops(scene):
             scene.parameters(case)
     for case, values in enumerate(expected, 1):
         assert tuple(scene.parameters(case).values()) == values
+    chosen = [scene.parameters(case) for case in sorted({*scene.mini} - {scene.demo_case})]
+    assert len(chosen) == 40
+    for name, levels in scene.levels.items():
+        counts = [sum(one[name] == level for one in chosen) for level in levels]
+        assert max(counts) - min(counts) <= 1
 
 
 def test_published_wheel_contexts():

@@ -60,7 +60,7 @@ def test_runs_are_named_by_case_or_by_kind_and_seed():
     scene = scenes.EXCAVATION
     assert catalogue.select_runs(scene, ['lift_3', ' 21']) == (21, 'lift_0003')
     assert catalogue.select_runs(scenes.WHEEL, ['full']) == tuple(range(1, 244))
-    assert catalogue.select_runs(scene, ['mini']) == scenes.mini_cases(scene)
+    assert catalogue.select_runs(scene, ['mini']) == scene.mini
     for names in ([], ['lift_0003', 'lift_3'], ['21', '21'], ['slip_0001'], ['999'], ['0'], ['']):
         with pytest.raises(ValueError):
             catalogue.select_runs(scene, names)
