@@ -7,7 +7,7 @@ import numpy as np
 from mpm import bodies, packing
 from mpm.columns import V
 from mpm.constitutive import Soil, make_soil
-from mpm.grid import Grid, make_grid
+from mpm.grid import make_grid
 from mpm.motions.drive import poses
 from mpm.scenes import CORNER, EARTH_GRAVITY, Bin
 from mpm.solver import EXCHANGE, Solver
@@ -30,10 +30,6 @@ class Experiment:
         self.impulse = np.zeros(6)  # given to the body: N s, and N m s about its reference point
 
     @property
-    def grid(self) -> Grid:
-        return self.solver.grid
-
-    @property
     def mass(self) -> float:
         """Mass of one particle, kg."""
         return self.solver.volume * self.solver.soil.bulk_density
@@ -51,7 +47,7 @@ class Experiment:
         [T, 4].
         """
         intervals = math.ceil(seconds / EXCHANGE - 1e-9)
-        order = packing.cell_order(self.particles, self.grid)
+        order = packing.cell_order(self.particles, self.solver.grid)
         block = self.solver.block(self.particles[order])
         moved = ()
         if body is not None:

@@ -17,9 +17,6 @@ from mpm.run import RawRun
 from pca_tools import raw_runs
 from pca_tools.files import MANIFEST_NAME, fingerprint, read_json, read_npz, write_json, write_npz
 
-# What a run cost depends on the machine and is left out of the digest of its content.
-_COSTS = ('solver_cpu_s',)
-
 
 def file_name(case: int | str) -> str:
     return f'run_{case:03d}.npz' if isinstance(case, int) else f'run_{case}.npz'
@@ -49,13 +46,13 @@ def content_digest(run: RawRun) -> str:
     """Returns the sha256 of what a run holds, in hexadecimal: same seed, same digest.
 
     It covers names, shapes, bytes (little-endian) and parameters, not the compression of the file
-    nor the time that the run took.
+    nor the time that the run took on its machine.
     """
     found = hashlib.sha256()
     for name, array in arrays_of(run).items():
         found.update(f'{name} {array.shape} '.encode())
         found.update(np.ascontiguousarray(array, dtype='<f4').tobytes())
-    kept = {name: value for name, value in run.parameters.items() if name not in _COSTS}
+    kept = {name: value for name, value in run.parameters.items() if name != 'solver_cpu_s'}
     found.update(json.dumps(kept, sort_keys=True).encode())
     return found.hexdigest()
 

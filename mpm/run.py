@@ -151,6 +151,7 @@ def run_case(
 
 def _seen(scene, motion, simulation, heights, force, torque) -> dict:
     machine, now = motion.drive.machine, np.array([simulation.time])
+    x, y, theta, z = simulation.pose
     particles = simulation.positions()
     seen = {
         'positions': particles[:: scene.bin.keep_every].astype(np.float32),
@@ -158,7 +159,7 @@ def _seen(scene, motion, simulation, heights, force, torque) -> dict:
         'rigid_positions': bodies.sample_points(motion.drive.body, simulation.pose),
         'force': force,
         'torque': torque,
-        'pose': quaternion_pose(simulation.pose),
+        'pose': [x, y, z, np.cos(theta / 2), 0.0, 0.0, np.sin(theta / 2)],
     }
     if scene.context_names:
         load = force[1] if machine is None else -machine.force(now)[0, 1]
@@ -187,9 +188,3 @@ def _refuse_sunk(simulation: Simulation) -> None:
             f'the body left the bin at {simulation.time:.3f} s (x = {x:.4f} m, lowest point at y = '
             f'{lowest:.4f} m): its load throws it out'
         )
-
-
-def quaternion_pose(pose) -> np.ndarray:
-    """Returns a pose x, y, angle, z as float64 [7]: x, y, z (m), quaternion w, x, y, z."""
-    x, y, theta, z = pose
-    return np.array([x, y, z, np.cos(theta / 2), 0.0, 0.0, np.sin(theta / 2)])

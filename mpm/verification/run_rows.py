@@ -29,7 +29,7 @@ SAW_TOOTH_CASES = (123, 186, 146)
 LEVEL = 0.35  # largest slope of a cut that counts as level
 # Slip 20, "40", 70 % with the middle load, diameter and friction, on the Earth.
 SLIP_CASES = (176, 203, 230)
-# Simulated for the rows of all runs of a folder that holds none: those of other rows.
+# Simulated for the rows of all runs of a folder: those of other rows.
 FIRST_CASES = {'excavation': EARTHMOVING_CASES, 'wheel': SLIP_CASES}
 HALVED_CASES = (186, 78, 146, 22, 188)  # motion 2: the blade is in the soil from the beginning
 SHORT_CUTS = {'sleep': 'sleeping soil', 'single': 'steps in float32'}  # options of `Settings`
@@ -167,11 +167,9 @@ def run_of(scene: scenes.Scene, case: int, raw_path: str) -> raw_run.RawRun:
 
 
 def runs_held(scene: scenes.Scene, raw_path: str) -> list[dict]:
-    """Returns the manifest's entries of all runs of a folder, after a few are simulated into an
-    empty one."""
+    """Returns the manifest's entries of all runs of a folder, `FIRST_CASES` among them."""
     folder = os.path.join(raw_path, scene.name)
-    if not (raw_run.read_manifest(folder) or {}).get('runs'):
-        generate(scene, FIRST_CASES[scene.name], folder, Settings())
+    generate(scene, FIRST_CASES[scene.name], folder, Settings())
     return raw_run.read_manifest(folder)['runs']
 
 

@@ -26,7 +26,7 @@ def energy_of(experiment, gravity=EARTH_GRAVITY):
     """
     q, soil = experiment.particles, experiment.solver.soil
     ratio, s = q[:, columns.VOLUME_RATIO], q[:, columns.S : columns.S + 6]
-    inertia = np.tile(experiment.grid.cell**2 / 4, 3)
+    inertia = np.tile(experiment.solver.grid.cell**2 / 4, 3)
     affine = q[:, columns.C : columns.C + 9]
     motion = (q[:, columns.V : columns.V + 3] ** 2).sum() + (inertia * affine**2).sum()
     pressed = np.minimum(ratio, 1.0)

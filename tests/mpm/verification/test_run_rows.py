@@ -1,11 +1,9 @@
 """The figures that are read from a run, on made-up forces, and pairs of runs on a coarse scene."""
 
-import os
-
 import numpy as np
 import pytest
 
-from mpm import raw_run, scenes
+from mpm import scenes
 from mpm.simulation import Settings
 from mpm.verification import run_rows
 from tests.mpm import small
@@ -31,25 +29,6 @@ def test_cutting_is_at_constant_speed_and_about_level(case):
     assert slope.max() < 0.36
     way = -np.diff(pose[:, 0]) * 60
     np.testing.assert_allclose(way, parameters['speed_m_s'], rtol=1e-6)
-
-
-@pytest.mark.parametrize('scene', scenes.SCENES.values(), ids=scenes.SCENES)
-def test_rows_of_all_runs_simulate_some_where_there_are_none(tmp_path, monkeypatch, scene):
-    made = []
-
-    def generate(scene, cases, folder, settings):
-        made.append((scene.name, tuple(cases)))
-        os.makedirs(folder)
-        parameters = {'penetration_deepest_cells': 0.1, 'penetration_inside': 0}
-        entry = {'bytes': 0, 'sha256': '', 'parameters': parameters}
-        entries = [{'file': f'{case}.npz', 'case': case} | entry for case in cases]
-        raw_run.write_manifest(folder, scene, entries)
-
-    monkeypatch.setattr(run_rows, 'generate', generate)
-    for _ in range(2):
-        (check,) = run_rows.leak(scene, str(tmp_path))
-        assert check.figure == 0.1
-    assert made == [(scene.name, run_rows.FIRST_CASES[scene.name])]
 
 
 def test_pairs_tell_what_changes():
