@@ -3,7 +3,6 @@ pairs of runs that should agree."""
 
 import math
 import os
-from collections.abc import Callable
 from functools import cache, partial
 
 import numpy as np
@@ -53,29 +52,25 @@ PAIR_SURFACE = 0.7  # mm
 def rows_of(raw_path: str) -> dict:
     """Returns name -> function that makes the checks of that name, those that cost least first;
     runs that a row needs are made in the folder of the raw runs of both scenes."""
-    rows: dict[str, Callable[[], list[Check]]] = {}
-    for case in HALVED_CASES:
-        rows[f'halved_{case}'] = partial(halved_step, EXCAVATION, case, HALVED_FRAMES)
-    for case in EARTHMOVING_CASES:
-        rows[f'earthmoving_{case}'] = partial(earthmoving_case, case, raw_path)
-    for case in SAW_TOOTH_CASES:
-        rows[f'saw_tooth_{case}'] = partial(saw_tooth_case, case, raw_path)
+
+    def each(name, make, cases, *arguments):
+        return {f'{name}_{case}': partial(make, case, *arguments) for case in cases}
+
+    rows: dict = each('halved', partial(halved_step, EXCAVATION), HALVED_CASES, HALVED_FRAMES)
+    rows |= each('earthmoving', earthmoving_case, EARTHMOVING_CASES, raw_path)
+    rows |= each('saw_tooth', saw_tooth_case, SAW_TOOTH_CASES, raw_path)
     rows |= {'press_rate': press_rate, 'set_down': set_down}
-    for row in (depth_exponent, wheel_slip, wheel_load):
-        rows[row.__name__] = partial(row, raw_path)
-    for scene in (EXCAVATION, WHEEL):
-        rows[f'leak_{scene.name}'] = partial(leak, scene, raw_path)
-    for case in DENSITY_CASES:
-        rows[f'density_{case}'] = partial(moved_soil, case, scenes.FRAMES - 1)
-    pairs: list[tuple[str, Callable, tuple, tuple]] = [
-        ('noise', noise, NOISE_CASES, (122,)),
-        *((name, partial(short_cut, name), SHORT_CUT_CASES, (122,)) for name in SHORT_CUTS),
-        ('halved', halved_step, (), (122, 203)),
-    ]
-    for name, pair, blades, wheels in pairs:
-        rows |= {f'{name}_{case}': partial(pair, EXCAVATION, case, PAIR_FRAMES) for case in blades}
-        rows |= {f'{name}_wheel_{case}': partial(pair, WHEEL, case, PAIR_FRAMES) for case in wheels}
-    return rows
+    rows |= {
+        row.__name__: partial(row, raw_path) for row in (depth_exponent, wheel_slip, wheel_load)
+    }
+    rows |= {f'leak_{scene.name}': partial(leak, scene, raw_path) for scene in (EXCAVATION, WHEEL)}
+    rows |= each('density', moved_soil, DENSITY_CASES)
+    pairs: dict[str, tuple] = {'noise': (noise, NOISE_CASES)}
+    pairs |= {name: (partial(short_cut, name), SHORT_CUT_CASES) for name in SHORT_CUTS}
+    for name, (pair, cases) in pairs.items():
+        rows |= each(name, partial(pair, EXCAVATION), cases, PAIR_FRAMES)
+        rows |= each(f'{name}_wheel', partial(pair, WHEEL), (122,), PAIR_FRAMES)
+    return rows | each('halved_wheel', partial(halved_step, WHEEL), (122, 203), PAIR_FRAMES)
 
 
 @cache
@@ -150,9 +145,9 @@ def _apart(name, scene, one, other, expected, limit) -> list[Check]:
     ]
 
 
-def moved_soil(case: int, frames: int) -> list[Check]:
+def moved_soil(case: int) -> list[Check]:
     """The density of soil that a blade has moved, over that of the bed before."""
-    start = packed(EXCAVATION.bin)[:, :3]
+    start, frames = packed(EXCAVATION.bin)[:, :3], scenes.FRAMES - 1
     _, simulation = drive(EXCAVATION, case, frames, Settings())
     density = bed.moved_density(start, simulation.positions(), simulation)
     name = f'excavation {case}: density of soil that moved over {1e3 * bed.MOVED:.0f} mm'

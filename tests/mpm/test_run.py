@@ -1,6 +1,5 @@
 """What a run records: pose, torque, load, parameters; what a lead-in leaves."""
 
-import dataclasses
 import math
 
 import numpy as np
@@ -109,9 +108,3 @@ def test_record_begins_after_the_lead_in(made):
     drive = catalogue.motion_of(small.BLADE, 'disturbed_0004').drive
     expected = drive.pose(np.array([lead_in / 60]))[0]
     np.testing.assert_allclose(found.pose[0, :2], expected[:2], atol=1e-6)
-
-
-def test_motion_out_of_the_bin_is_refused_before_it_is_simulated():
-    shallow = dataclasses.replace(small.BLADE.bin, size=(0.8, 0.1, 0.6))
-    with pytest.raises(ValueError, match='cell above the floor'):  # 10 cm of 10 cm
-        run.prepared(dataclasses.replace(small.BLADE, bin=shallow), 242, Settings())
