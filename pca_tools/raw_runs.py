@@ -29,7 +29,7 @@ SERIES = {'positions': (None, DIM), 'rigid_positions': (None, DIM)} | {
     name.removeprefix('rigid_'): shape for name, shape in FRAME_SERIES.items()
 }
 SERIES['heights'] = (None, None)
-SCENE_KEYS = ('name', 'rigid_motion', 'rigid_edges', 'context_names', 'force')
+SCENE_KEYS = ('name', 'rigid_motion', 'rigid_edges', 'context_names', 'force', 'up_axis')
 ENTRY_KEYS = {'file', 'case', 'bytes', 'sha256'}
 _RUN_KEYS = (*SERIES, 'case', 'context', 'parameters', 'split', 'kind')
 # Bounds that are not given: the hull of soil and body, wider by this share of its size.
@@ -158,9 +158,8 @@ class RawRuns(Sequence):
 
         Positions and dt must be plausible in metres and seconds if `check_units`. The runs must
         have the particles of `space`, in its order, by default those of the first run; with
-        `match_particles` each goes with its nearest neighbour there in frame 0 from now on. A scene
-        that does not say which axis points up gets the one that gravity or the bounds tell, with a
-        warning."""
+        `match_particles` each goes with its nearest neighbour there in frame 0 from now on. Warns
+        where gravity or the bounds tell another upward axis than the scene."""
         extent, faults = Extent(), []
         if match_particles:
             self._reference = space.initial if space else self[0].positions[0]
@@ -179,27 +178,15 @@ class RawRuns(Sequence):
         if np.all(np.isfinite(extent.low)):
             if check_units:
                 faults += unit_faults(extent, self.bounds, self.dt)
-            faults += self._up_axis_faults(extent)
+            axis, reason = infer_up_axis(extent, self.bounds, self.scene.get('gravity'))
+            stated = self.scene['up_axis']
+            if axis not in (None, stated):
+                warnings.warn(
+                    f'{self.folder}: scene.up_axis is {stated} ({AXES[stated]}) but {AXES[axis]} '
+                    f'looks like the upward axis: {reason}',
+                    stacklevel=2,
+                )
         raise_faults(self.folder, faults)
-
-    def _up_axis_faults(self, extent: 'Extent') -> list[str]:
-        axis, reason = infer_up_axis(extent, self.bounds, self.scene.get('gravity'))
-        stated = self.scene.get('up_axis')
-        if stated is None and axis is None:
-            return [
-                f'scene.up_axis is missing and cannot be inferred ({reason}); write it into the '
-                'manifest: 0 (x), 1 (y) or 2 (z)'
-            ]
-        if stated is None:
-            found = f'is missing; {axis} ({AXES[axis]}) is taken, because {reason}'
-            self.scene = {**self.scene, 'up_axis': axis}
-        elif axis not in (None, stated):
-            found = f'is {stated} ({AXES[stated]}) but {AXES[axis]} looks like the upward axis: '
-            found += reason
-        else:
-            return []
-        warnings.warn(f'{self.folder}: scene.up_axis {found}', stacklevel=3)
-        return []
 
 
 class SoilPositions(Sequence):

@@ -151,13 +151,11 @@ def test_scene_stays_and_bounds_hold_both(grown, tmp_path):
     files.write_json(f'{raw}/manifest.json', manifest | {'scene': scene | {'bodies': bodies}})
     with pytest.raises(ValueError, match='of another scene: its bodies'):
         append.append(raw, data)
-    del scene['up_axis']  # follows from gravity
     bounds = [[0.0, 0.88], [0.15, 1.3], [0.1, 0.9]]
     changes = {'scene': scene | {'gravity': [0.0, -9.81, 0.0]}, 'bounds': bounds}
     files.write_json(f'{raw}/manifest.json', manifest | changes)
-    with pytest.warns(UserWarning, match='up_axis is missing; 1'):
-        like = convert.convert(raw, str(tmp_path / 'new'), like=data)
-        after = append.append(raw, data)
+    like = convert.convert(raw, str(tmp_path / 'new'), like=data)
+    after = append.append(raw, data)
     for metadata in (like, after):
         assert metadata['bounds'] == [[0.0, 0.9], [0.15, 1.3], [0.1, 0.9]]
         assert metadata['scene'] == before['scene']
