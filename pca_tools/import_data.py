@@ -27,7 +27,7 @@ import numpy as np
 from absl import flags
 from tqdm import tqdm
 
-from pca_tools import command, dataset, files, formats, legacy_pickles, raw_runs
+from pca_tools import command, dataset, files, formats, raw_runs
 from pca_tools.formats import full_space
 from pca_tools.metadata import AXES, METADATA_NAME, RIGID_MOTIONS, SCHEMA_VERSION, SPLITS
 
@@ -82,8 +82,8 @@ def _import_authors(
     folder: str, output_path: str, name: str, rigid_motion: str | None, up_axis: int
 ) -> str:
     """Makes a dataset of a folder of Subspace-Graph-Physics that states its scene, counts its keys,
-    and has a manifest, and their subspace where the eigenvectors are there (in the published
-    folders they are git-lfs pointers)."""
+    and has a manifest. Its subspace stays behind: the published eigenvectors are git-lfs
+    pointers."""
     metadata = dataset.read_metadata(folder)
     splits = {
         split: dataset.read_split(folder, split)
@@ -115,15 +115,6 @@ def _import_authors(
     metadata['dataset_split'] = {
         split: [f'{split}_{index}' for index in range(len(part))] for split, part in splits.items()
     }
-    published, notes = {}, []
-    try:
-        path = os.path.join(folder, legacy_pickles.EIGENVECTORS_NAME)
-        vectors = legacy_pickles.read_array(path)
-        mean = legacy_pickles.read_array(os.path.join(folder, legacy_pickles.MEAN_NAME))
-        published = {'components': vectors[:, : metadata['mode_number']].real, 'mean': mean}
-        metadata['n_soil'] = len(vectors)
-    except (ValueError, OSError) as error:
-        notes.append(f'without eigenvectors scores cannot be decoded to particles ({error})')
 
     def fill(temporary: str) -> None:
         listed: dict[str, dict[str, Any]] = {METADATA_NAME: {}}
@@ -132,14 +123,11 @@ def _import_authors(
             path = dataset.split_path(temporary, split)
             kept = [_renumbered(run, key, rigid_motion) for key, run in enumerate(part)]
             listed[os.path.basename(path)] = {'records': dataset.write_split(path, kept)}
-        if published:
-            files.write_npz(os.path.join(temporary, 'published_subspace.npz'), **published)
-            listed['published_subspace.npz'] = {}
         files.write_manifest(temporary, listed)
 
     files.write_folder_atomically(output_path, fill, replace=False)
     counts = {split: len(part) for split, part in splits.items()}
-    return '\n'.join([f'{output_path}: a dataset of {counts} records of {folder}', *notes])
+    return f'{output_path}: a dataset of {counts} records of {folder}; scores cannot be decoded'
 
 
 def _renumbered(run: dataset.Trajectory, key: int, rigid_motion: str) -> dataset.Trajectory:

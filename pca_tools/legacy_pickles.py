@@ -23,7 +23,6 @@ from pca_tools import files
 
 EIGENVALUES_NAME = 'pca_eigen_values.pkl'
 EIGENVECTORS_NAME = 'pca_eigen_vectors.pkl'
-MEAN_NAME = 'pca_mean_scalar.pkl'
 
 _NUMBER_TYPE = re.compile('[fiuc](1|2|4|8|16)')
 # What numpy's pickles of arrays, scalars and tuples or lists of them are made of.
