@@ -55,29 +55,22 @@ class Workers:
             yield from self._run_dask(function, inputs)
 
     def _run_pool(self, pool, function, inputs) -> Iterator[Outcome]:
-        waiting = {pool.submit(function, item): (i, 0) for i, item in enumerate(inputs)}
+        places = {pool.submit(_tried, function, item): i for i, item in enumerate(inputs)}
         try:
-            while waiting:
-                done, _ = concurrent.futures.wait(
-                    waiting, return_when=concurrent.futures.FIRST_COMPLETED
-                )
-                for future in done:
-                    index, tries = waiting.pop(future)
-                    error = future.exception()
-                    if isinstance(error, BrokenProcessPool):
-                        raise OSError(
-                            'a process was killed from outside (out of memory?); what was finished '
-                            'is kept, the same command goes on'
-                        ) from error
-                    if error is None:
-                        yield Outcome(index, future.result())
-                    elif tries < RETRIES:
-                        again = pool.submit(function, inputs[index])
-                        waiting[again] = (index, tries + 1)
-                    else:
-                        yield Outcome(index, None, f'{type(error).__name__}: {error}')
+            for future in concurrent.futures.as_completed(places):
+                # Out of the list, so that a value that was taken is freed.
+                index, error = places.pop(future), future.exception()
+                if isinstance(error, BrokenProcessPool):
+                    raise OSError(
+                        'a process was killed from outside (out of memory?); what was finished is '
+                        'kept, the same command goes on'
+                    ) from error
+                if error is None:
+                    yield Outcome(index, future.result())
+                else:
+                    yield Outcome(index, None, f'{type(error).__name__}: {error}')
         finally:
-            for future in waiting:
+            for future in places:
                 future.cancel()
 
     def _run_dask(self, function, inputs) -> Iterator[Outcome]:
@@ -100,6 +93,14 @@ class Workers:
             else:
                 yield Outcome(index, value)
             future.release()
+
+
+def _tried(function: Callable[[Any], Any], item: Any) -> Any:
+    """Calls the function once more after each of `RETRIES` errors."""
+    for _ in range(RETRIES):
+        with contextlib.suppress(Exception):
+            return function(item)
+    return function(item)
 
 
 @contextlib.contextmanager
