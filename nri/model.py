@@ -18,7 +18,6 @@ from nri.config import MAX_NODES, NriConfig, log_prior
 from nri.networks import Decoder, Encoder, unroll
 from pca_tools import files
 
-SCHEMA_VERSION = 1
 MAX_FEATURES = 100
 BATCH = 500  # windows at a time
 
@@ -190,7 +189,7 @@ class NriModel(snt.Module):
     def to_json(self) -> dict:
         """What config.json holds."""
         return {
-            'schema_version': SCHEMA_VERSION,
+            'schema_version': checkpoints.SCHEMA_VERSION,
             'kind': 'nri',
             'config': dataclasses.asdict(self.config),
             'node_names': list(self.node_names),
@@ -207,13 +206,9 @@ def load_model(path: str) -> NriModel:
     name = os.path.join(path, CONFIG_FILE)
     if not os.path.isfile(name):
         raise FileNotFoundError(f'{name}: no such file; train a model with nri.train')
-    values = files.read_json(name)
-    if not isinstance(values, dict) or values.get('kind') != 'nri':
+    values = checkpoints.read_config(path)
+    if values.get('kind') != 'nri':
         raise ValueError(f'{name}: not the config of an NRI model')
-    if values.get('schema_version') != SCHEMA_VERSION:
-        raise ValueError(
-            f'{name}: schema version {values.get("schema_version")}, {SCHEMA_VERSION} expected'
-        )
 
     def make():
         with checkpoints.refusing_wrong_fields(path):

@@ -4,7 +4,7 @@ A step is a function of (weights, optimiser, seed, step): a training that was ki
 gives the same weights as one that was not, on a CPU.
 """
 
-import dataclasses
+import collections
 import os
 import time
 
@@ -12,11 +12,13 @@ import numpy as np
 import tensorflow as tf
 import tqdm
 
+from learning_to_simulate import checkpoints
+from learning_to_simulate.checkpoints import CONFIG_FILE, WEIGHTS_FILE
 from nri import data as nri_data
 from nri import losses
 from nri.config import NriConfig
 from nri.data import NriData
-from nri.model import CONFIG_FILE, WEIGHTS_FILE, NriModel
+from nri.model import NriModel
 from pca_tools import files
 from pca_tools.storage import folder_lock
 
@@ -126,19 +128,16 @@ class Trainer:
         'naming' of `losses.edge_accuracy`."""
         config = self.config
         windows = data.features[:, :, : config.span : config.stride]
-        totals: dict[str, float] = {}
-        count = 0
-        if not (config.supervised and data.edges is None):
-            for first in range(0, len(windows), _VALID_BATCH):
-                batch = tf.constant(windows[first : first + _VALID_BATCH])
-                edges = data.edges
-                if edges is not None:
-                    edges = tf.constant(edges[first : first + _VALID_BATCH])
-                seed = tf.constant([config.seed * 8 + _VALID_STREAM, first], tf.int32)
-                for name, value in self._validation_losses(batch, seed, edges).items():
-                    totals[name] = totals.get(name, 0.0) + float(value) * len(batch)
-                count += len(batch)
-        result: dict = {name: total / count for name, total in totals.items()}
+        totals: dict[str, float] = collections.defaultdict(float)
+        for first in range(0, len(windows), _VALID_BATCH):
+            batch = tf.constant(windows[first : first + _VALID_BATCH])
+            edges = data.edges
+            if edges is not None:
+                edges = tf.constant(edges[first : first + _VALID_BATCH])
+            seed = tf.constant([config.seed * 8 + _VALID_STREAM, first], tf.int32)
+            for name, value in self._validation_losses(batch, seed, edges).items():
+                totals[name] += float(value) * len(batch)
+        result: dict = {name: total / len(windows) for name, total in totals.items()}
         probabilities = self.model.window_probabilities(windows)
         result |= losses.edge_usage(probabilities)
         if data.edges is not None:
@@ -210,30 +209,15 @@ def _run(trainer, valid, model_path):
 
 def _open_folder(path, model):
     """Claims a model folder; refuses one with something else in it."""
-    name = os.path.join(path, CONFIG_FILE)
-    if not os.path.exists(name):
-        if strangers := set(os.listdir(path)) - {folder_lock.LOCK_NAME}:
-            raise ValueError(
-                f'{path}: not empty and no model folder (holds {sorted(strangers)[:3]}); nothing '
-                f'was written'
-            )
-        files.write_json(name, model.to_json())
+    fresh = model.to_json()
+    if not checkpoints.holds_model(path, {'config': fresh['config']}):
+        files.write_json(os.path.join(path, CONFIG_FILE), fresh)
         return
-    old, new = files.read_json(name), model.to_json()
-    if old.get('kind') != 'nri':
-        raise ValueError(f'{name}: not the config of an NRI model; nothing was written')
-    # A setting that came later had its default before.
-    defaults = dataclasses.asdict(NriConfig())
-    flat = [{**defaults, **v.pop('config', {}), **v} for v in (old, new)]
-    both = {k: tuple(f.get(k) for f in flat) for k in sorted(flat[0] | flat[1])}
-    if differing := {k: pair for k, pair in both.items() if pair[0] != pair[1]}:
-        listed = ', '.join(
-            f'{k}: {str(there)[:40]} there, {str(now)[:40]} now'
-            for k, (there, now) in differing.items()
-        )
+    stored = checkpoints.read_config(path)
+    if other := [key for key in fresh if stored.get(key) != fresh[key]]:
         raise ValueError(
-            f'{path}: holds another model ({listed}); nothing was written, give another '
-            f'--model_path'
+            f'{path}: holds a model of another {", ".join(other)}; nothing was written, give '
+            f'another --model_path'
         )
     if not tf.train.latest_checkpoint(path) and os.path.exists(os.path.join(path, WEIGHTS_FILE)):
         raise ValueError(

@@ -77,7 +77,7 @@ def test_damaged_and_foreign_model_folders_are_refused(tmp_path):
     before, good = (tmp_path / 'weights.npz').read_bytes(), made.to_json()
     for changes, message in (
         ({'kind': None}, 'not the config of an NRI model'),
-        ({'schema_version': 2}, 'schema version 2'),
+        ({'schema_version': 2}, 'not a model config of schema version 1'),
         ({'config': good['config'] | {'new': 1}}, 'missing, unknown'),
         ({'config': good['config'] | {'hidden': 9}}, 'not the weights of config.json'),
         ({'config': good['config'] | {'temperature': 0}}, 'temperature'),
