@@ -14,7 +14,6 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-import tensorflow as tf
 
 from learning_to_simulate import checkpoints, shipped
 from learning_to_simulate.live import roll_out_path
@@ -41,7 +40,6 @@ from pca_tools import (
     subspace,
 )
 from pca_tools.formats import full_space
-from tests.faults import small
 from tests.faults.small import FRAMES, MODES, copies
 
 # numpy.array([3.0, 2.0, 1.0]) in the form of the authors' files, pickle protocol 3.
@@ -251,32 +249,22 @@ def _import(name: str, changed: tuple[str, ...]) -> Target:
     return Target(f'import {name}', Promise.OPEN, write, changed, read, possible)
 
 
-def _write_sample(folder):
-    positions = _rng().uniform(0.0, 1.0, (5, 4, 3))
-    packed = [(packing.pack_steps(positions, positions[0], 4e-5), 5)]
-    indices = np.arange(4, dtype=np.int32)
-    particles.ParticleSample.write(folder, 'train', packed, positions[0], indices=indices)
+def _packed(kind: type[packing.PackedRuns], **own) -> Target:
+    """The reader of series of runs; `own` are the arrays of their kind."""
+    name = f'{kind.NAME}_train.npz'
 
+    def write(folder):
+        values = _rng().uniform(0.0, 1.0, (9, 4, 3))
+        kind.write(folder, 'train', [kind.pack(values, values[0])] * 2, values[0], **own)
 
-def _possible_sample(runs):
-    return all(run.ndim == 3 and run.dtype == np.float64 for run in runs)
+    def read(folder):
+        runs = kind(f'{folder}/{name}')
+        return list(runs), [getattr(runs, key) for key in own]
 
+    def possible(value):
+        return is_finite(value) and all(run.ndim == 3 for run in value[0])
 
-def _write_heights(folder):
-    maps, rest = _rng().uniform(0.2, 0.3, (9, 5, 4)), np.zeros((5, 4))
-    place = {'corner': np.array([0.1, 0.1]), 'cell': np.array([0.01, 0.02])}
-    packed = [heights.Heights.pack(maps, rest)] * 2
-    heights.Heights.write(folder, 'train', packed, rest, **place)
-
-
-def _read_heights(folder):
-    maps = heights.Heights(f'{folder}/heights_train.npz')
-    return list(maps), maps.corner, maps.cell, maps.frame_stride
-
-
-def _possible_heights(value):
-    maps, corner, cell, stride = value
-    return is_finite(value) and all(m.ndim == 3 for m in maps) and (cell > 0).all() and stride > 0
+    return Target(kind.TITLE, Promise.CHECKSUM, write, (name,), read, possible)
 
 
 def _read_terrain(folder):
@@ -359,25 +347,6 @@ def _possible_model(value):
     return is_finite(weights) and config.latent_size in widths and scene.n_modes == MODES
 
 
-def _possible_config(parts):
-    (_, config, statistics, _), (*masks, _), n_rigid = parts
-    is_small = config.latent_size <= 4096 and n_rigid <= 1000
-    return (
-        is_small
-        and is_finite(statistics)
-        and all(_possible_mask(m) for m in masks if m is not None)
-    )
-
-
-def _read_weights(folder):
-    whole = os.path.join(small.world(), 'model', checkpoints.WEIGHTS_FILE)
-    shapes = {name: array.shape for name, array in files.read_npz(whole).items()}
-    made = checkpoints.filled(
-        folder, lambda: {n: tf.Variable(tf.zeros(s)) for n, s in shapes.items()}, lambda made: made
-    )
-    return {name: variable.numpy() for name, variable in made.items()}
-
-
 def _write_nri(folder):
     config = NriConfig(hidden=4, window=6, segment=2)
     offset = np.zeros((1, 4))
@@ -432,17 +401,10 @@ TARGETS = (
     _import('geoelements', ('train.npz', 'metadata.json')),
     _import('lagrangebench', ('train.h5', 'metadata.json')),
     _import('npz', ('train_0.npz',)),
-    Target('particle sample', Promise.CHECKSUM, _write_sample, ('particles_train.npz',),
-           lambda folder: list(particles.ParticleSample(f'{folder}/particles_train.npz')),
-           _possible_sample),
-    Target('model config.json', Promise.OPEN, copies('model', *_MODEL), _MODEL[:1],
-           subspace_model.read_parts, _possible_config),
-    Target('model weights.npz', Promise.CHECKSUM, copies('model', *_MODEL), _MODEL[1:],
-           _read_weights),
+    _packed(particles.ParticleSample, indices=np.arange(4, dtype=np.int32)),
+    _packed(heights.Heights, corner=np.array([0.1, 0.1]), cell=np.array([0.01, 0.02])),
     Target('load_model', Promise.OPEN, copies('model', *_MODEL), _MODEL, _read_model,
            _possible_model),
-    Target('height maps', Promise.CHECKSUM, _write_heights, ('heights_train.npz',), _read_heights,
-           _possible_heights),
     Target('saved terrain', Promise.CHECKSUM,
            lambda folder: Terrain(_rng().uniform(0.2, 0.3, (6, 5)), 0.02).save(
                f'{folder}/ground.npz'),

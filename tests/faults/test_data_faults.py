@@ -5,13 +5,13 @@ hostile pickles have their tests beside the readers in `tests/pca_tools`; README
 """
 
 import io
+import re
 import threading
 import zipfile
 
 import numpy as np
 import pytest
 
-from learning_to_simulate import connectivity_utils
 from learning_to_simulate.scene import RigidMotion, Scene
 from learning_to_simulate.subspace import edge_lists
 from nri import data as nri_data
@@ -37,37 +37,15 @@ def npy_header(shape, kind='|u1'):
     return stream.getvalue()
 
 
-def test_four_gigabytes_in_ten_kilobytes_are_refused_unread(tmp_path):
-    """By what the archive's own directory says, before anything is unpacked."""
+def test_bombs_are_refused_by_what_their_directory_says(tmp_path):
+    """Five members that claim 300 MB each: none of them is over the limit, all together are."""
     path = tmp_path / 'bomb.npz'
-    with zipfile.ZipFile(path, 'w', zipfile.ZIP_DEFLATED) as archive:
-        archive.writestr('mean.npy', npy_header((2**20,)) + bytes(2**20))
+    np.savez_compressed(path, **{f'a{i}': np.zeros(9) for i in range(5)})
     data = bytearray(path.read_bytes())
-    assert len(data) < 10_000
-    at = data.rindex(b'PK\x01\x02')
-    data[at + 24 : at + 28] = (2**32 - 2).to_bytes(4, 'little')
+    for entry in re.finditer(b'PK\x01\x02', bytes(data)):
+        data[entry.start() + 24 : entry.start() + 28] = (3 * 10**8).to_bytes(4, 'little')
     path.write_bytes(data)
-    with pytest.raises(ValueError, match='bomb.npz.*4294967294 bytes'):
-        files.read_npz(str(path))
-
-
-def test_many_small_members_are_added_up(tmp_path):
-    """1100 members of 1 MiB from 1 MB: none of them is over the limit, all together are."""
-    path = tmp_path / 'bomb.npz'
-    content = npy_header((2**20,)) + bytes(2**20)
-    with zipfile.ZipFile(path, 'w', zipfile.ZIP_DEFLATED) as archive:
-        archive.writestr('a0.npy', content)
-    one = path.read_bytes()
-    end = one.rindex(b'PK\x05\x06')
-    entry = one[one.rindex(b'PK\x01\x02') : end]
-    directory = b''.join(
-        entry.replace(b'a0.npy', f'a{i}.npy'.encode()) if i < 10 else entry for i in range(1100)
-    )
-    tail = bytearray(one[end:])
-    tail[8:12] = (1100).to_bytes(2, 'little') * 2
-    tail[12:16] = len(directory).to_bytes(4, 'little')
-    path.write_bytes(one[: one.rindex(b'PK\x01\x02')] + directory + tail)
-    with pytest.raises(ValueError, match='bomb.npz.*bytes.*limit'):
+    with pytest.raises(ValueError, match='bomb.npz.*unpacks to 1500000000 bytes.*limit'):
         files.read_npz(str(path))
 
 
@@ -95,14 +73,6 @@ def test_hostile_npy_files(tmp_path, read, monkeypatch):
     path.write_bytes(npy_header((10**6, 10**6)) + bytes(100))
     with pytest.raises(ValueError, match=r'a.npy.*1000000000000 bytes but it holds 100'):
         read(str(path))
-
-
-def test_mask_of_another_graph_names_both_sizes(tmp_path):
-    np.save(tmp_path / 'mask.npy', np.ones((23, 23), bool))
-    mask = load_mask(tmp_path / 'mask.npy')
-    scene = Scene('x', 8, 'prescribed', (), True, (), 10, 0.1)
-    with pytest.raises(ValueError, match='23.*28 nodes'):
-        connectivity_utils.build(str(tmp_path / 'mask.npy'), scene, 20, None, mask)
 
 
 @pytest.mark.parametrize('ending', ['npz', 'json', 'tfrecord'])

@@ -3,7 +3,6 @@
 import os
 import zipfile
 
-import numpy as np
 import pytest
 
 from pca_tools import command, files
@@ -13,17 +12,6 @@ POINTER = (
     b'oid sha256:2ca3be6d46fd0dd60cbf5da1121a13dc3c847df3691b9cb9ca7c11b6080c88cf\n'
     b'size 190515362\n'
 )
-
-
-def test_npz_round_trip_and_equal_bytes(tmp_path):
-    arrays = {'a': np.arange(6.0).reshape(2, 3), 'name': np.array('text'), 'scalar': np.float64(3)}
-    files.write_npz(str(tmp_path / 'x.npz'), **arrays)
-    files.write_npz(str(tmp_path / 'y.npz'), **arrays)
-    read = files.read_npz(str(tmp_path / 'x.npz'))
-    assert read.keys() == arrays.keys()
-    np.testing.assert_array_equal(read['a'], arrays['a'])
-    assert str(read['name']) == 'text'
-    assert (tmp_path / 'x.npz').read_bytes() == (tmp_path / 'y.npz').read_bytes()
 
 
 def test_a_folder_that_fails_leaves_the_old_one_and_nothing_else(tmp_path):
