@@ -22,7 +22,7 @@ SCHEMA_VERSION = 1
 DIM = 3
 SPLITS = ('train', 'valid', 'test')
 AXES = ('x', 'y', 'z')
-# What the projection does to each record, see `pca_tools.convert.projection_details`.
+# What the projection does to each record, see `pca_tools.encode.projection_details`.
 PROJECTION_KEYS = ('projection_mse', 'projection_max_mm', 'motion_mse', 'motion_kept')
 RIGID_MOTIONS = ('none', 'prescribed', 'driven', 'predicted')
 _REQUIRED = (

@@ -1,7 +1,6 @@
 """Formats of other projects, both ways, through one thing: `full_space.FullSpaceData`.
 
-One module per format: `read(folder, options)` gives the data, `write(folder, data)` writes them.
-`detect` says what kind of data a folder holds, told by its files.
+One module per format. `detect` says what kind of data a folder holds, told by its files.
 """
 
 import os

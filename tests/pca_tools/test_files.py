@@ -14,22 +14,6 @@ POINTER = (
 )
 
 
-def test_a_folder_that_fails_leaves_the_old_one_and_nothing_else(tmp_path):
-    def fill(name):
-        return lambda folder: files.write_json(f'{folder}/{name}', 1)
-
-    def fail(folder):
-        fill('half')(folder)
-        raise OSError('disk full')
-
-    files.write_folder_atomically(str(tmp_path / 'set'), fill('a'))
-    with pytest.raises(OSError, match='disk full'):
-        files.write_folder_atomically(str(tmp_path / 'set'), fail)
-    assert os.listdir(tmp_path) == ['set'] and os.listdir(tmp_path / 'set') == ['a']
-    files.write_folder_atomically(str(tmp_path / 'set'), fill('c'))
-    assert os.listdir(tmp_path) == ['set'] and os.listdir(tmp_path / 'set') == ['c']
-
-
 @pytest.mark.parametrize('read', [files.read_npz, files.read_json])
 def test_pointer_empty_missing_and_folder_are_named(tmp_path, read):
     (tmp_path / 'pointer').write_bytes(POINTER)
