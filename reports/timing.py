@@ -55,18 +55,21 @@ def in_turns(jobs: Mapping[Any, Job], rounds: int) -> dict[Any, Timing]:
 
 
 def stepping(live, poses: np.ndarray, contexts=None, has_particles: bool = False) -> list[float]:
-    """Seconds of every step of a `stepper()` along poses [T, 7], of which the first one is where it
-    starts, under contexts [T, C] if any: of a step and its force, or of all particles, too."""
+    """`steps` of a model in the subspace, which starts at the first of the poses [T, 7] with the
+    speed of the path, under contexts [T, C] if any."""
+    given = [{}] * len(poses) if contexts is None else [{'context': c} for c in contexts]
+    live.start(poses[0], velocity=(poses[1] - poses[0])[:3] / live.dt, **given[0])
+    return steps(live, poses[1:], given[1:], has_particles)
 
-    def context(frame):
-        return {} if contexts is None else {'context': contexts[frame]}
 
-    live.start(poses[0], velocity=(poses[1] - poses[0])[:3] / live.dt, **context(0))
+def steps(live, poses, given=None, has_particles: bool = False) -> list[float]:
+    """Seconds of every step of a stepper that has started, along poses [T, 7], with further
+    arguments of each step if `given`: of a step and its force, or of all particles, too."""
     seconds = []
-    for frame, pose in enumerate(poses[1:], 1):
+    for pose, arguments in zip(poses, given or [{}] * len(poses), strict=True):
         start = time.perf_counter()
-        now = live.step(pose, **context(frame))
+        live.step(pose, **arguments)
         if has_particles:
-            now.particles()
+            live.particles()
         seconds.append(time.perf_counter() - start)
     return seconds

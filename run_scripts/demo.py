@@ -16,7 +16,6 @@ import dataclasses
 import os
 import statistics
 import time
-from collections.abc import Sequence
 
 import numpy as np
 import tqdm
@@ -24,8 +23,7 @@ from absl import flags
 
 from learning_to_simulate import command
 from mpm import scenes
-from mpm.motions import catalogue
-from pca_tools import files
+from pca_tools import dataset, files
 from reports import markdown, timing
 from reports.record import ROOT
 
@@ -38,27 +36,21 @@ COLUMNS = 'method', SOIL, DRAWBAR, FORCE, STEP, PARTICLES, COUNT
 EVERY = 20
 
 
-def test_run(name: str, case: int | str) -> tuple[int, dict]:
-    """Number and parameters of a test run of the shipped data.
-
-    Raises:
-        ValueError: it is none.
-    """
-    from pca_tools import dataset
-
+def test_run(name: str, case: str) -> int:
+    """Number of a test run of the shipped data; ValueError for another one."""
     cases = dataset.read_metadata(os.path.join(ROOT, 'datasets', name))['cases']['test']
-    found = [run['case'] for run in cases]
+    found = [str(run['case']) for run in cases]
     if case not in found:
-        raise ValueError(f'{name} has no test run {case!r}; there are {", ".join(map(str, found))}')
-    return found.index(case), cases[found.index(case)]
+        raise ValueError(f'{name} has no test run {case!r}; there are {", ".join(found)}')
+    return found.index(case)
 
 
-def evaluate(name: str, case: int | str, out: str) -> tuple[list[dict], list[str]]:
+def evaluate(name: str, number: int, out: str) -> tuple[list[dict], list[str]]:
     """Rolls out the shipped models on a run of the solver, and draws them.
 
     Args:
         name: scene.
-        case: test run.
+        number: of the test run.
         out: folder for rollouts and pictures.
 
     Returns:
@@ -69,7 +61,7 @@ def evaluate(name: str, case: int | str, out: str) -> tuple[list[dict], list[str
     from learning_to_simulate.soil_field.evaluation import SoilEvaluator
 
     data = lts.Dataset(os.path.join(ROOT, 'datasets', name))
-    number, parameters = test_run(name, case)
+    parameters = data.metadata['cases']['test'][number]
     solver = 1e3 * parameters['solver_cpu_s'] / scenes.FRAMES
     rows = [{'method': 'solver (ground truth)', PARTICLES: solver}]
     rollouts = []
@@ -101,8 +93,8 @@ def evaluate(name: str, case: int | str, out: str) -> tuple[list[dict], list[str
 
 
 def field_steps(model, rollout) -> tuple[list[float], list[float], int]:
-    """As `timing.stepping`, of a soil field that is stepped from Python along a rollout: of the
-    frames of the largest forces, as a tool in the air moves no particles.
+    """Times of a soil field that is stepped from Python along a rollout: of the frames of the
+    largest forces, as a tool in the air moves no particles.
 
     Args:
       model: `api.TerrainModel`.
@@ -114,19 +106,12 @@ def field_steps(model, rollout) -> tuple[list[float], list[float], int]:
     """
     loaded = np.argsort(np.linalg.norm(rollout.force[1:], axis=1))[-EVERY:]
     times: list[list[float]] = []
-    particles: Sequence = ()
-    for is_whole in (False, True):
-        seconds = []
+    for has_particles in (False, True):
         live = model.stepper(rollout.before.clone(), rollout.tool)
         live.start(rollout.pose[0])
-        for pose in rollout.pose[1:]:
-            start = time.perf_counter()
-            live.step(pose, rollout.dt)
-            if is_whole:
-                particles = live.particles()
-            seconds.append(time.perf_counter() - start)
+        seconds = timing.steps(live, rollout.pose[1:], has_particles=has_particles)
         times.append([seconds[i] for i in loaded])
-    return times[0], times[1], len(particles)
+    return times[0], times[1], len(live.particles())
 
 
 def _row(name, mean):
@@ -137,7 +122,7 @@ def _row(name, mean):
     return {'method': name, SOIL: mean['soil_mm'], FORCE: force, DRAWBAR: drawbar}
 
 
-def table(name: str, case: int | str, rows: list[dict]) -> str:
+def table(name: str, case: str, rows: list[dict]) -> str:
     """The rows as aligned text."""
     cells = [['-' if row.get(title) is None else row[title] for title in COLUMNS] for row in rows]
     return f'{name}, {case}\n{markdown.table(COLUMNS, cells, aligned=True)}'
@@ -205,17 +190,16 @@ def main(values) -> None:
     out = os.path.abspath(values.output_path)
     if unknown := sorted(set(values.scenes) - set(scenes.SCENES)):
         raise ValueError(f'unknown scenes {unknown}; there are {sorted(scenes.SCENES)}')
-    chosen = [scenes.SCENES[name] for name in values.scenes]
-    names = values.cases or [CASES[scene.name] for scene in chosen]
-    if len(names) != len(chosen):
-        raise ValueError(f'{len(names)} cases for {len(chosen)} scenes')
-    cases = [catalogue.select_runs(scene, [name])[0] for scene, name in zip(chosen, names)]
+    cases = values.cases or [CASES[name] for name in values.scenes]
+    if len(cases) != len(values.scenes):
+        raise ValueError(f'{len(cases)} cases for {len(values.scenes)} scenes')
+    numbers = [test_run(name, case) for name, case in zip(values.scenes, cases)]
     print('learned simulators: rolling out', flush=True)
     results: dict = {}
     pictures: list[str] = []
-    for scene, case in zip(chosen, cases):
-        rows, drawn = evaluate(scene.name, case, os.path.join(out, scene.name))
-        results[scene.name], pictures = {'case': case, 'rows': rows}, pictures + drawn
+    for name, case, number in zip(values.scenes, cases, numbers):
+        rows, drawn = evaluate(name, number, os.path.join(out, name))
+        results[name], pictures = {'case': case, 'rows': rows}, pictures + drawn
     text = '\n\n'.join(table(name, r['case'], r['rows']) for name, r in results.items())
     files.write_text(os.path.join(out, 'table.txt'), text + '\n')
     files.write_json(os.path.join(out, 'table.json'), results)

@@ -192,29 +192,32 @@ def _shown(models: Sequence[RolloutFrames]) -> list[tuple]:
     return truth + [(one, PREDICTION, one.model) for one in models]
 
 
-def _draw_force(axes: Axes, models: Sequence[RolloutFrames]) -> None:
-    """Force against the way and upwards: pale the truth, thin the predictions."""
-    first = models[0]
-    start, shown = first.first_predicted, [0.0]
-    signs = -first.heading, 1.0
-    for axis, sign, color, way in zip(first.axes[:2], signs, AXIS_COLORS, FORCE_NAMES, strict=True):
-        if first.has_truth:
-            truth = sign * first.force[TRUTH][:, axis]
+def draw_force(axes: Axes, truth: tuple | None, predictions: Sequence[tuple]) -> None:
+    """Force over time against the way and upwards: pale the truth, (time [T], force [T, 2]), thin
+    the predictions, each (name, time, force)."""
+    for axis, (color, way) in enumerate(zip(AXIS_COLORS, FORCE_NAMES, strict=True)):
+        if truth is not None:
+            time, force = truth
             label = f'{way}, {TRUE_NAME}'
-            axes.plot(first.time, truth, color=color, alpha=0.35, linewidth=2.6, label=label)
-            shown.append(truth)
-        for one, dashes in zip(models, _MODEL_DASHES):
-            if one.force is None:
-                continue
-            force, name = sign * one.force[PREDICTION][start:, axis], f'{way}, {one.model}'
-            axes.plot(one.time[start:], force, dashes, color=color, linewidth=1.2, label=name)
-            shown.append(force)
+            axes.plot(time, force[:, axis], color=color, alpha=0.35, linewidth=2.6, label=label)
+        for (name, time, force), dashes in zip(predictions, _MODEL_DASHES):
+            label = f'{way}, {name}'
+            axes.plot(time, force[:, axis], dashes, color=color, linewidth=1.2, label=label)
     axes.axhline(0.0, color=FAINT, linewidth=0.7)
     axes.set_ylabel('force on the tool (N)')
-    low, high = (f([f(x) for x in shown]) for f in (np.min, np.max))
-    room = 0.06 * (high - low) or 1.0
-    axes.set_ylim(low - room, high + room)  # nothing is clipped
     _legend_above(axes, columns=2)
+
+
+def _draw_force(axes: Axes, models: Sequence[RolloutFrames]) -> None:
+    first = models[0]
+
+    def seen(one, which, start):
+        along_and_up = one.force[which][start:, list(first.axes[:2])]
+        return one.time[start:], along_and_up * (-first.heading, 1.0)
+
+    truth = seen(first, TRUTH, 0) if first.has_truth else None
+    known = [one for one in models if one.force is not None]
+    draw_force(axes, truth, [(m.model, *seen(m, PREDICTION, first.first_predicted)) for m in known])
 
 
 def _draw_errors(axes: Axes, models: Sequence[RolloutFrames]) -> None:

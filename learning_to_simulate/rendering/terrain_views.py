@@ -19,8 +19,8 @@ from learning_to_simulate import metrics
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH
 from learning_to_simulate.rendering import movie_files
 from learning_to_simulate.rendering.particle_views import BODY_EDGE, BODY_FACE, PLAIN_SOIL
-from learning_to_simulate.rendering.rollout_figures import AXIS_COLORS, FAINT, INK, STYLE, WIDTH
-from learning_to_simulate.rendering.rollout_frames import FORCE_NAMES, TRUE_NAME
+from learning_to_simulate.rendering.rollout_figures import FAINT, INK, STYLE, WIDTH, draw_force
+from learning_to_simulate.rendering.rollout_frames import TRUE_NAME
 
 _MOMENTS = (0.2, 0.6, 1.0)  # shares of the run that a picture shows
 _CHANGE = 'BrBG'  # brown where soil is missing, green where it lies on top
@@ -71,9 +71,8 @@ def figure(
     changes = np.nan_to_num([m[-1] - before for m in maps.values()])
     largest = max(1e3 * float(np.quantile(np.abs(changes), _QUANTILE)), 1.0)
     sides = arrays['cell'] * before.shape
-    across, up = axes = (
-        (0, 1) if sides[0] >= sides[1] else (1, 0)
-    )  # of the map: its longer side first
+    # Of the map its longer side first.
+    across, up = axes = (0, 1) if sides[0] >= sides[1] else (1, 0)
     aspect = sides[up] / sides[across]
     is_one = len(moments) == 1
     columns, map_rows = (len(maps), 1) if is_one else (len(moments), len(maps))
@@ -232,17 +231,12 @@ def _draw_map(axes, arrays, change, frame, order, largest):
 
 def _draw_force(axes, arrays, frames):
     time = float(arrays['dt']) * np.arange(len(arrays['pose']))
-    directions = -_start(arrays), _UP
-    for direction, color, name in zip(directions, AXIS_COLORS, FORCE_NAMES, strict=True):
-        if 'ground_truth_forces' in arrays:
-            truth = np.asarray(arrays['ground_truth_forces'], float) @ direction
-            axes.plot(
-                time, truth, color=color, alpha=0.35, linewidth=2.6, label=f'{name}, {TRUE_NAME}'
-            )
-        force = np.asarray(arrays['predicted_forces'], float) @ direction
-        axes.plot(time, force, color=color, linewidth=1.2, label=f'{name}, model')
+    directions = np.stack([-_start(arrays), _UP], axis=1)
+    truth, force = (
+        np.asarray(arrays[key], float) @ directions if key in arrays else None
+        for key in ('ground_truth_forces', 'predicted_forces')
+    )
+    draw_force(axes, None if truth is None else (time, truth), [('model', time, force)])
     for frame in frames:
         axes.axvline(time[frame], color=FAINT, linewidth=0.8, zorder=1)
-    axes.axhline(0.0, color=FAINT, linewidth=0.7)
-    axes.set(xlabel='time (s)', ylabel='force on the tool (N)', xlim=(time[0], time[-1] or 1.0))
-    axes.legend(loc='lower left', bbox_to_anchor=(0.0, 1.0), ncols=2)
+    axes.set(xlabel='time (s)', xlim=(time[0], time[-1] or 1.0))

@@ -18,7 +18,7 @@ ROOT = pathlib.Path(__file__).resolve().parents[2]
     [
         (['--scenes=moon'], 'unknown scene'),
         (['--cases=1,2', '--scenes=wheel'], '2 cases for 1'),
-        (['--cases=lift_0001', '--scenes=wheel'], 'wheel has no run'),
+        (['--cases=lift_0001', '--scenes=wheel'], 'wheel has no test run'),
     ],
 )
 def test_demo_refuses_bad_choices_before_it_simulates(tmp_path, arguments, message):
@@ -45,7 +45,7 @@ def test_a_soil_field_is_timed_where_forces_are_largest(monkeypatch):
         def start(self, pose):
             assert pose == 0
 
-        def step(self, pose, dt):
+        def step(self, pose):
             self.pose = pose
             clock[0] += 1.0
 
@@ -54,9 +54,7 @@ def test_a_soil_field_is_timed_where_forces_are_largest(monkeypatch):
             return np.zeros((7, 3))
 
     terrain = types.SimpleNamespace(clone=lambda: None)
-    rollout = types.SimpleNamespace(
-        force=force, pose=np.arange(100), before=terrain, tool=None, dt=1 / 60
-    )
+    rollout = types.SimpleNamespace(force=force, pose=np.arange(100), before=terrain, tool=None)
     model = types.SimpleNamespace(stepper=lambda terrain, tool: Stepper())
     monkeypatch.setattr(demo.time, 'perf_counter', lambda: clock[0])
     steps, wholes, count = demo.field_steps(model, rollout)
