@@ -314,26 +314,6 @@ def examples_table(path: str) -> str:
     return markdown.table(('example', 'times real time', 'steps flagged, %', 'reason'), lines)
 
 
-def draw(path: str, picture: str) -> None:
-    """The map of stability."""
-    from matplotlib import colors, figure
-
-    drawn = figure.Figure(figsize=(8, 3.2), layout='constrained')
-    cells = {(c['mass'], c['dt'], c['implicit']): c for c in files.read_json(path)['stability']}
-    panels = drawn.subplots(1, 2, sharey=True)
-    for axes, implicit in zip(panels, (True, False), strict=True):
-        off = [[cells[m, dt, implicit].get('off_share', np.inf) for dt in STEPS] for m in MASSES]
-        image = axes.imshow(
-            np.clip(off, 1e-5, 1.0), origin='lower', norm=colors.LogNorm(1e-5, 1.0), cmap='RdYlGn_r'
-        )
-        axes.set_xticks(range(len(STEPS)), [f'{1e3 * dt:g}' for dt in STEPS])
-        axes.set_yticks(range(len(MASSES)), [str(m) for m in MASSES])
-        axes.set(title='implicit' if implicit else 'explicit', xlabel='step, ms')
-    panels[0].set_ylabel('mass, kg')
-    drawn.colorbar(image, ax=panels, label='largest |force / weight - 1|\nin the last 0.5 s')
-    files.write_atomically(picture, lambda name: drawn.savefig(name, format='png', dpi=90))
-
-
 def apart(found, run, evaluator) -> float | None:
     """mm (root mean square) between a motion [T, 4] and that of `LoadedTool` on the same field;
     None where that one is refused."""
@@ -343,7 +323,7 @@ def apart(found, run, evaluator) -> float | None:
 
 
 def define_flags() -> None:
-    flags.DEFINE_string('output_path', None, 'Path of .json and .png, without it.', required=True)
+    flags.DEFINE_string('output_path', None, 'Path of the JSON file, without .json.', required=True)
 
 
 def main(values) -> None:
@@ -374,6 +354,5 @@ def main(values) -> None:
         ],
         'examples': {name: whole(name) for name in ('excavator', 'rover')},
     })  # fmt: skip
-    draw(path, f'{values.output_path}.png')
     for made in (table, coupling_table, stability_table, examples_table):
         print(made(path))
