@@ -1,61 +1,16 @@
-"""`Adjacency`: the edges of the graph, built once per scene and never per step.
+"""The edges of the graph, built once per scene and never per step: masks bool [V, V], entry
+[receiver, sender].
 
 Edges come from a rule: fully connected, or Algorithm 2 of Usmani & Skonieczny 2023, whose mode
-block is found elsewhere (`edge_lists`). Conventions: node order is R rigid particles, then r modes;
-a mask is [receiver, sender]; edges are sorted by receiver, then sender, so that equal graphs are
-equal arrays.
+block is found elsewhere (`edge_lists`). Node order is R rigid particles, then r modes.
 """
-
-import dataclasses
 
 import numpy as np
 
 from learning_to_simulate.scene import RigidMotion, Scene
 
 
-@dataclasses.dataclass(frozen=True)
-class Adjacency:
-    """Directed edges `senders` -> `receivers`, int32 [E], between `n_node` = V nodes; ValueError
-    for an index outside [0, V), a repeated edge, or arrays of unequal length."""
-
-    senders: np.ndarray
-    receivers: np.ndarray
-    n_node: int
-
-    def __post_init__(self):
-        if self.senders.shape != self.receivers.shape or self.senders.ndim != 1:
-            raise ValueError(
-                f'senders {self.senders.shape} and receivers {self.receivers.shape} must be two '
-                f'equal lists'
-            )
-        ends = np.concatenate([self.senders, self.receivers])
-        if ends.size and not (ends.min() >= 0 and ends.max() < self.n_node):
-            raise ValueError(
-                f'edge ends reach from {ends.min()} to {ends.max()}, but there are {self.n_node} '
-                f'nodes'
-            )
-        if len(np.unique(self.senders * self.n_node + self.receivers)) != self.n_edge:
-            raise ValueError('an edge is listed twice')
-
-    @property
-    def n_edge(self) -> int:
-        """E."""
-        return len(self.senders)
-
-    def mask(self) -> np.ndarray:
-        """bool [V, V], entry [receiver, sender]."""
-        mask = np.zeros((self.n_node, self.n_node), bool)
-        mask[self.receivers, self.senders] = True
-        return mask
-
-    @classmethod
-    def from_mask(cls, mask) -> 'Adjacency':
-        """Edges of a boolean [receiver, sender] mask [V, V]."""
-        receivers, senders = np.nonzero(mask)
-        return cls(senders.astype(np.int32), receivers.astype(np.int32), len(mask))
-
-
-def algorithm2(scene: Scene, n_rigid: int, mode_mask: np.ndarray) -> Adjacency:
+def algorithm2(scene: Scene, n_rigid: int, mode_mask: np.ndarray) -> np.ndarray:
     """The partial graph of Usmani & Skonieczny 2023, Algorithm 2.
 
     modes -> modes as in `mode_mask`, bool [r, r], entry [receiver, sender] (of an NRI result, or of
@@ -79,7 +34,7 @@ def algorithm2(scene: Scene, n_rigid: int, mode_mask: np.ndarray) -> Adjacency:
                     f'rigid edge {sender} -> {receiver} is outside the {n_rigid} rigid particles'
                 )
             mask[receiver, sender] = True
-    return Adjacency.from_mask(mask)
+    return mask
 
 
 def nearest_neighbour_edges(points) -> tuple[tuple[int, int], ...]:
@@ -109,41 +64,18 @@ def mode_correlations(velocities) -> np.ndarray:
     return np.clip(np.abs(score) / max(count, 1), 0.0, 1.0)
 
 
-def rank_mode_edges(velocities, keep: int) -> np.ndarray:
-    """bool [r, r], entry [receiver, sender]: the `keep` mode -> mode edges with the strongest
-    `mode_correlations`, self-edges first; ValueError if `keep` is negative or above r²."""
-    return _best(mode_correlations(velocities), keep)
-
-
-def random_mode_edges(n_modes: int, keep: int, seed: int) -> np.ndarray:
-    """`keep` edges by lot, as `rank_mode_edges`: what a list that was found is to be compared
-    with."""
-    return _best(np.random.default_rng([seed, n_modes]).random((n_modes, n_modes)), keep)
-
-
-def _best(score, keep):
-    """Mask of the `keep` highest scores [r, r], the diagonal first."""
-    r = len(score)
-    if not 0 <= keep <= r * r:
-        raise ValueError(f'mode_edges is {keep}, must lie in [0, {r * r}]')
-    np.fill_diagonal(score, np.inf)
-    mask = np.zeros(r * r, bool)
-    mask[np.argsort(-score, axis=None, kind='stable')[:keep]] = True
-    return mask.reshape(r, r)
-
-
-def build(kind: str, scene: Scene, n_rigid: int, mode_mask=None, loaded_mask=None) -> Adjacency:
-    """The adjacency for a graph of R rigid particles and r modes of a scene, of a kind of
+def build(kind: str, scene: Scene, n_rigid: int, mode_mask=None, loaded_mask=None) -> np.ndarray:
+    """The mask for a graph of R rigid particles and r modes of a scene, of a kind of
     `TrainConfig.adjacency`: 'fully_connected' (all V² edges, self-edges included, as in Haeri &
     Skonieczny 2021) and 'none' need no mask, a `mode_mask` bool [r, r] is completed by Algorithm 2,
     a `loaded_mask` bool [V, V] is used as it is (ValueError where it does not fit V)."""
     n_node = n_rigid + scene.n_modes
     if kind in ('fully_connected', 'none'):
-        return Adjacency.from_mask(np.full((n_node, n_node), kind != 'none'))
+        return np.full((n_node, n_node), kind != 'none')
     if mode_mask is not None:
         return algorithm2(scene, n_rigid, mode_mask)
     if len(loaded_mask) == n_node:
-        return Adjacency.from_mask(loaded_mask)
+        return loaded_mask
     raise ValueError(
         f'the mask of {kind} is {len(loaded_mask)} x {len(loaded_mask)}, but this dataset has '
         f'graphs of {n_node} nodes ({n_rigid} rigid + {scene.n_modes} modes): give a mask of '

@@ -111,7 +111,7 @@ def find_edges(
 
 def completed(edges: edge_lists.EdgeList, data_path: str):
     """Algorithm 2 around the mode block, on the first run of a dataset of this project: the
-    `Adjacency` and its node names, or None where the data are no such dataset."""
+    mask of the whole graph and its node names, or None where the data are no such dataset."""
     if not os.path.exists(os.path.join(data_path, dataset.METADATA_NAME)):
         return None
     metadata = dataset.read_metadata(data_path)
@@ -123,8 +123,8 @@ def completed(edges: edge_lists.EdgeList, data_path: str):
     n_modes = len(edges.node_names) - sum(name.startswith('rigid_') for name in edges.node_names)
     scene = dataclasses.replace(scene, n_modes=n_modes)
     modes = edge_lists.mode_names(n_modes)
-    adjacency = connectivity_utils.algorithm2(scene, first.n_rigid, edges.mask_for(modes))
-    return adjacency, tuple(f'rigid_{i}' for i in range(first.n_rigid)) + modes
+    mask = connectivity_utils.algorithm2(scene, first.n_rigid, edges.mask_for(modes))
+    return mask, tuple(f'rigid_{i}' for i in range(first.n_rigid)) + modes
 
 
 def export(edges: edge_lists.EdgeList, data_path: str, output_path: str) -> list[str]:
@@ -145,8 +145,8 @@ def draw(path: str, edges, whole=None) -> None:
         (f'{edges.n_edge} edges ({edges.method})', edges.mask.astype(float), edges.node_names),
     ]
     if whole:
-        adjacency, names = whole
-        panels.append((f'Algorithm 2: {adjacency.n_edge} edges', adjacency.mask() * 1.0, names))
+        mask, names = whole
+        panels.append((f'Algorithm 2: {mask.sum()} edges', mask.astype(float), names))
     figure, images = show_matrices(panels)
     bar = figure.colorbar(images[0], ax=images[0].axes, shrink=0.75)
     if edges.threshold is not None:

@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from learning_to_simulate import checkpoints, connectivity_utils
-from learning_to_simulate.connectivity_utils import Adjacency
 from pca_tools import files
 
 FILE_NAME = 'edges.json'
@@ -148,7 +147,7 @@ def select(probabilities, *, threshold=None, keep=None) -> np.ndarray:
         return probabilities > threshold  # false for NaN as well
     possible = int((~np.isnan(probabilities)).sum())
     if not 0 <= keep <= possible:
-        raise ValueError(f'keep is {keep}, must lie in [0, {possible}]')
+        raise ValueError(f'{keep} edges to keep (mode_edges), must lie in [0, {possible}]')
     mask = np.zeros(probabilities.size, bool)
     mask[np.argsort(-probabilities, axis=None, kind='stable')[:keep]] = True  # NaN comes last
     return mask.reshape(probabilities.shape)
@@ -156,7 +155,7 @@ def select(probabilities, *, threshold=None, keep=None) -> np.ndarray:
 
 def write(path: str, edges: EdgeList) -> None:
     """Writes `edges.json` whole or not at all; the folder must exist."""
-    adjacency = Adjacency.from_mask(edges.mask)
+    receivers, senders = np.nonzero(edges.mask)
     rows = [[None if np.isnan(p) else round(float(p), 6) for p in q] for q in edges.probabilities]
     as_they_are = ('method', 'threshold', 'degenerate', 'digests', 'report')
     files.write_json(
@@ -165,8 +164,8 @@ def write(path: str, edges: EdgeList) -> None:
             'schema_version': SCHEMA_VERSION,
             'convention': CONVENTION,
             'node_names': list(edges.node_names),
-            'senders': adjacency.senders.tolist(),
-            'receivers': adjacency.receivers.tolist(),
+            'senders': senders.tolist(),
+            'receivers': receivers.tolist(),
             **{name: getattr(edges, name) for name in as_they_are},
             'probabilities': rows,
         },
@@ -188,9 +187,8 @@ def read(path: str) -> EdgeList:
         names = tuple(map(str, values['node_names']))
         if len(names) > MAX_NODES:
             raise ValueError(f'{len(names)} nodes are more than the limit of {MAX_NODES}')
-        ends = [_indices(values[key]) for key in ('senders', 'receivers')]
         return EdgeList(
-            mask=Adjacency(*ends, len(names)).mask(),  # type: ignore[call-arg]
+            mask=_mask_of(values['senders'], values['receivers'], len(names)),
             node_names=names,
             probabilities=np.array(values['probabilities'], np.float64),
             method=values['method'],
@@ -236,7 +234,7 @@ def choose(config, data_path: str, n_modes: int, velocities) -> ModeEdges:
         are learned, else `edges.json` of the dataset, else ranked by correlation); 'correlation';
         'random'; or a file, `.json` or `.npy`.
       data_path: dataset folder.
-      velocities: of the modes on the training runs, as for `rank_mode_edges`.
+      velocities: of the modes on the training runs, as for `mode_correlations`.
 
     Raises:
       ValueError: a file that is damaged, foreign or of another dataset, or a wish for a number of
@@ -255,12 +253,15 @@ def choose(config, data_path: str, n_modes: int, velocities) -> ModeEdges:
                 f'--adjacency=correlation to rank them, or leave mode_edges out'
             )
         kind, name = shipped, f'{FILE_NAME} of the dataset'
-    if kind == 'random':
-        mask = connectivity_utils.random_mode_edges(n_modes, keep, config.seed)
-        return ModeEdges(mask, None, f'{keep} by lot, seed {config.seed}')
-    if kind in ('algorithm2', 'correlation'):
-        mask = connectivity_utils.rank_mode_edges(velocities, keep)
-        return ModeEdges(mask, None, f'{keep} ranked by lagged correlation')
+    if kind in ('algorithm2', 'correlation', 'random'):
+        if kind == 'random':  # what a list that was found is to be compared with
+            rng = np.random.default_rng([config.seed, n_modes])
+            score, source = rng.random((n_modes, n_modes)), f'by lot, seed {config.seed}'
+        else:
+            score = connectivity_utils.mode_correlations(velocities)
+            source = 'ranked by lagged correlation'
+        np.fill_diagonal(score, np.inf)  # self-edges first
+        return ModeEdges(select(score, keep=keep), None, f'{keep} {source}')
     if kind.endswith('.npy'):
         mask = read_mask(kind)
         source = f'{name} (sha256 {files.sha256_of_file(kind)[:12]})'
@@ -275,11 +276,24 @@ def choose(config, data_path: str, n_modes: int, velocities) -> ModeEdges:
     return ModeEdges(mask, None, f'{name} (method {edges.method}, sha256 {digest})')
 
 
-def _indices(values) -> np.ndarray:
-    """A JSON list of whole numbers as int32 [E]."""
-    if not isinstance(values, list) or not all(type(v) is int for v in values):
-        raise ValueError('senders and receivers must be lists of whole numbers')
-    return np.array(values, np.int32)
+def _mask_of(senders, receivers, n_node: int) -> np.ndarray:
+    """bool [V, V] of the edges of a JSON file."""
+    for ends in (senders, receivers):
+        if not isinstance(ends, list) or not all(type(end) is int for end in ends):
+            raise ValueError('senders and receivers must be lists of whole numbers')
+        if ends and not 0 <= min(ends) <= max(ends) < n_node:
+            raise ValueError(
+                f'edge ends reach from {min(ends)} to {max(ends)}, but there are {n_node} nodes'
+            )
+    if len(senders) != len(receivers):
+        raise ValueError(
+            f'{len(senders)} senders and {len(receivers)} receivers must be two equal lists'
+        )
+    mask = np.zeros((n_node, n_node), bool)
+    mask[receivers, senders] = True
+    if mask.sum() != len(senders):
+        raise ValueError('an edge is listed twice')
+    return mask
 
 
 def _short(names) -> str:

@@ -15,7 +15,6 @@ from learning_to_simulate import normalization
 from learning_to_simulate.axes import up_vector
 from learning_to_simulate.checkpoints import NUM_PARTICLE_TYPES
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH, TrainConfig
-from learning_to_simulate.connectivity_utils import Adjacency
 from learning_to_simulate.scene import RigidMotion, Scene
 from learning_to_simulate.subspace import features, graph_network
 from learning_to_simulate.subspace.contact import Contact
@@ -32,12 +31,13 @@ class SimulatorState(NamedTuple):
 
 
 class Layout:
-    """Constants of the graph for R rigid particles: edges of V = R + r nodes, and statistics per
-    node and edge. ValueError if the bodies of the scene have another number of nodes."""
+    """Constants of the graph for R rigid particles: edges of V = R + r nodes by a mask bool [V, V],
+    entry [receiver, sender], and statistics per node and edge. ValueError if the bodies of the
+    scene have another number of nodes."""
 
     def __init__(
         self,
-        adjacency: Adjacency,
+        mask: np.ndarray,
         n_rigid: int,
         scene: Scene,
         statistics: normalization.Statistics,
@@ -45,8 +45,9 @@ class Layout:
     ):
         s = statistics
         self.n_rigid = n_rigid
-        self.n_node, self.n_edge = adjacency.n_node, adjacency.n_edge
-        self.senders, self.receivers = adjacency.senders, adjacency.receivers
+        # Sorted by receiver, then sender.
+        self.receivers, self.senders = (ends.astype(np.int32) for ends in np.nonzero(mask))
+        self.n_node, self.n_edge = len(mask), len(self.senders)
         self.edge_gates = None  # float32 [B or 1, E] while the edges are being learned
         self.node_class = normalization.node_classes(n_rigid, scene.n_modes)
         self.origin = s.origin[self.node_class]

@@ -47,10 +47,8 @@ class Model:
         if n_rigid not in self._layouts:
             s = self.simulator
             s.check_size(n_rigid)
-            adjacency = build(
-                s.config.adjacency, s.scene, n_rigid, self.mode_mask, self.loaded_mask
-            )
-            self._layouts[n_rigid] = Layout(adjacency, n_rigid, s.scene, s.statistics, s.config)
+            mask = build(s.config.adjacency, s.scene, n_rigid, self.mode_mask, self.loaded_mask)
+            self._layouts[n_rigid] = Layout(mask, n_rigid, s.scene, s.statistics, s.config)
         return self._layouts[n_rigid]
 
     def edge_counts(self) -> dict[str, int]:

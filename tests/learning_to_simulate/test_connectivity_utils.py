@@ -1,14 +1,22 @@
-"""Adjacency: published edge counts, Algorithm 2, refusals."""
+"""Edges: published counts, Algorithm 2, rankings."""
 
 import numpy as np
 import pytest
 
 from learning_to_simulate import connectivity_utils as cu
+from learning_to_simulate import presets
 from learning_to_simulate.scene import RigidMotion, Scene
+from learning_to_simulate.subspace import edge_lists
 
 
 def scene(motion='prescribed', n_modes=8, rigid_edges=()):
     return Scene('s', n_modes, RigidMotion(motion), tuple(rigid_edges), True, (), 100, 1 / 60)
+
+
+def chosen(adjacency, keep, velocities=None, n_modes=8, seed=0):
+    """The mode -> mode edges that a config asks for."""
+    config = presets.make_config('pcg', adjacency=adjacency, mode_edges=keep, seed=seed)
+    return edge_lists.choose(config, '', n_modes, velocities).mode_mask
 
 
 def ring_edges(n_ring=2, n_point=8):
@@ -23,16 +31,16 @@ def ring_edges(n_ring=2, n_point=8):
 
 def test_edge_counts_of_the_thesis():
     """Usmani & Skonieczny 2023: excavation 784 -> 188, wheel 576 -> 336 (Algorithm 2)."""
-    assert cu.build('fully_connected', scene(), 20).n_edge == 784
-    assert cu.build('fully_connected', scene(), 16).n_edge == 576
+    assert cu.build('fully_connected', scene(), 20).sum() == 784
+    assert cu.build('fully_connected', scene(), 16).sum() == 576
     velocities = np.random.default_rng(0).normal(size=(2, 50, 8, 3))
-    blade = cu.algorithm2(scene(), 20, cu.rank_mode_edges(velocities, 28))
-    assert blade.n_edge == 188
+    blade = cu.algorithm2(scene(), 20, chosen('correlation', 28, velocities))
+    assert blade.sum() == 188
     # 2 * 16 * 8 rigid <-> mode edges, 32 on the rings, the rest of their 80 between modes.
     wheel = cu.algorithm2(
-        scene('predicted', rigid_edges=ring_edges()), 16, cu.rank_mode_edges(velocities, 48)
+        scene('predicted', rigid_edges=ring_edges()), 16, chosen('correlation', 48, velocities)
     )
-    assert wheel.n_edge == 336
+    assert wheel.sum() == 336
 
 
 @pytest.mark.parametrize(
@@ -48,7 +56,7 @@ def test_rigid_nodes_receive_only_where_they_are_predicted(motion, to_rigid, amo
     n_rigid = 0 if motion == 'none' else 4
     mask = cu.algorithm2(
         scene(motion, 3, [(0, 1)] if n_rigid else []), n_rigid, np.eye(3, dtype=bool)
-    ).mask()
+    )
     assert mask[n_rigid:, :n_rigid].all()
     assert mask[:n_rigid, n_rigid:].any() == to_rigid
     assert mask[:n_rigid, :n_rigid].any() == among_rigid
@@ -59,20 +67,20 @@ def test_ranked_edges_find_the_mode_that_leads():
     """Mode 1 repeats mode 0 one frame later; modes 2 and 3 are noise."""
     v = np.random.default_rng(2).normal(size=(1, 400, 4, 3))
     v[:, 1:, 1] = v[:, :-1, 0]
-    mask = cu.rank_mode_edges(v, 5)
+    mask = chosen('correlation', 5, v, n_modes=4)
     assert mask.diagonal().all()
     assert mask[1, 0] and mask.sum() == 5
 
 
 def test_drawn_edges_are_of_their_seed_and_as_likely_as_any():
-    drawn = [cu.random_mode_edges(8, 28, seed) for seed in range(200)]
+    drawn = [chosen('random', 28, seed=seed) for seed in range(200)]
     assert all(mask.sum() == 28 and mask.diagonal().all() for mask in drawn)
-    np.testing.assert_array_equal(drawn[3], cu.random_mode_edges(8, 28, 3))
+    np.testing.assert_array_equal(drawn[3], chosen('random', 28, seed=3))
     share = np.mean(drawn, axis=0)[~np.eye(8, dtype=bool)]
     # 20 of 56; a share of 200 draws has a deviation of 0.034.
     assert np.abs(share - 20 / 56).max() < 4 * 0.034 and share.std() > 0.02
-    with pytest.raises(ValueError, match='mode_edges is 65'):
-        cu.random_mode_edges(8, 65, 0)
+    with pytest.raises(ValueError, match='65 edges to keep'):
+        chosen('random', 65)
 
 
 def test_nearest_neighbours_on_a_ring_are_the_ring_neighbours():
@@ -84,20 +92,10 @@ def test_nearest_neighbours_on_a_ring_are_the_ring_neighbours():
 
 def test_mask_of_modes_is_completed_and_other_sizes_are_refused():
     mask = np.eye(8, dtype=bool)
-    assert cu.build('file', scene(), 4, mode_mask=mask).n_edge == 4 * 8 + 8
-    assert cu.build('file', scene(), 4, loaded_mask=np.eye(12, dtype=bool)).n_edge == 12
+    assert cu.build('file', scene(), 4, mode_mask=mask).sum() == 4 * 8 + 8
+    assert cu.build('file', scene(), 4, loaded_mask=np.eye(12, dtype=bool)).sum() == 12
     with pytest.raises(ValueError, match=r'11 x 11.*12 nodes'):
         cu.build('file', scene(), 4, loaded_mask=np.eye(11, dtype=bool))
-
-
-def test_bad_edges_are_refused():
-    one = np.array([0], np.int32)
-    with pytest.raises(ValueError, match='2 nodes'):
-        cu.Adjacency(one, np.array([2], np.int32), 2)
-    with pytest.raises(ValueError, match='twice'):
-        cu.Adjacency(np.array([0, 0], np.int32), np.array([1, 1], np.int32), 2)
-    with pytest.raises(ValueError, match='two equal lists'):
-        cu.Adjacency(one, np.array([0, 1], np.int32), 2)
 
 
 def test_correlations_of_runs_of_different_lengths():
@@ -114,4 +112,3 @@ def test_correlations_of_runs_of_different_lengths():
     now, before = (pair / frames.std(0) for pair in pairs)
     for i, j in np.ndindex(3, 3):
         assert mixed[i, j] == pytest.approx(abs((now[:, i] * before[:, j]).mean()))
-    assert cu.rank_mode_edges([v, longer], 5).sum() == 5

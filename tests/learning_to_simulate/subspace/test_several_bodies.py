@@ -11,7 +11,6 @@ from learning_to_simulate import evaluation, rollout
 from learning_to_simulate.native import model_data
 from learning_to_simulate.presets import make_config
 from learning_to_simulate.scene import Scene
-from learning_to_simulate.subspace.learned_simulator import Layout
 from learning_to_simulate.subspace.trainer import Trainer
 from pca_tools import dataset, files
 from tests.learning_to_simulate import models, synthetic
@@ -145,10 +144,9 @@ def test_bodies_that_move_by_themselves_are_refused_before_any_work(tmp_path, mo
 
 def test_what_knows_one_body_says_so(made):
     model, _ = made
-    s = model.simulator
     for message, call in (
         ('the C form knows one', lambda: model_data.values(model, 7)),
-        ('7 nodes, not 6', lambda: Layout(model.layout(7), 6, s.scene, s.statistics, s.config)),
+        ('7 nodes, not 6', lambda: model.layout(6)),
     ):
         with pytest.raises(ValueError, match=message):
             call()
