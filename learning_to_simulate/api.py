@@ -1,9 +1,9 @@
 """What a user types: models, datasets, training, by `import learning_to_simulate as lts`."""
 
 import dataclasses
+import functools
 import os
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
@@ -31,15 +31,12 @@ class Split(Sequence):
 
     def __init__(self, folder: str, name: str):
         self.folder, self.name = folder, name
-        self._records: list[dataset.Trajectory] | None = None
 
-    @property
+    @functools.cached_property
     def records(self) -> list[dataset.Trajectory]:
         """The recorded runs, in file order; raises as `pca_tools.dataset.read_split`."""
-        if self._records is None:
-            command.import_tensorflow()
-            self._records = dataset.read_split(self.folder, self.name)
-        return self._records
+        command.import_tensorflow()
+        return dataset.read_split(self.folder, self.name)
 
     def __len__(self) -> int:
         return len(self.records)
@@ -115,8 +112,6 @@ class TrainedModel:
         self.path = path
         self._method = registry.of_folder(path)
         self.model = self._method.load_code().load(path)
-        self._at_rest: tuple | None = None
-        self._roller: Any = None
         self._newest: tuple | None = None
 
     def __repr__(self) -> str:
@@ -136,22 +131,21 @@ class TrainedModel:
     def starts(self):
         """`live.starts.Starts`: beds, bodies and contexts to start from. FileNotFoundError of a
         folder from before models carried them; ValueError of a model that is not stepped."""
-        return self._from_rest()[0]
+        return self._at_rest[0]
 
     @property
     def subspace(self) -> Subspace | None:
         """The modes that the model predicts; raises as `starts`."""
-        return self._from_rest()[1]
+        return self._at_rest[1]
 
-    def _from_rest(self):
+    @functools.cached_property
+    def _at_rest(self):
         if not self._method.steps:
             raise ValueError(f'{self.path}: {self.config.model} has no live stepping and no paths')
         self.scene.check_one_body('stepping and rolling out by poses')
-        if self._at_rest is None:
-            from learning_to_simulate.live import starts
+        from learning_to_simulate.live import starts
 
-            self._at_rest = starts.read(self.path)
-        return self._at_rest
+        return starts.read(self.path)
 
     def stepper(self, outside: str = 'flag', engine: str = 'best'):
         """A `live.stepper.Stepper`; `start` and `step` it with poses.
@@ -169,7 +163,7 @@ class TrainedModel:
         """
         from learning_to_simulate.native import engines
 
-        starts, space = self._from_rest()
+        starts, space = self._at_rest
         return engines.stepper(self.model, starts, space, engine, outside=outside)
 
     def rollout(self, path, velocity=None, case: int | None = None, context=None):
@@ -193,14 +187,16 @@ class TrainedModel:
             return self._of_run(path)
         from learning_to_simulate.live import paths
 
-        if self._roller is None:
-            self._roller = self.stepper()
         several = isinstance(path, (list, tuple)) and len(path) and np.ndim(path[0]) == 2
         results = [
             paths.roll_out(self._roller, p, velocity, case, context)
             for p in (path if several else [path])
         ]
         return results if several else results[0]
+
+    @functools.cached_property
+    def _roller(self):
+        return self.stepper()
 
     def _of_run(self, run):
         from learning_to_simulate.live import paths
@@ -286,7 +282,8 @@ class TerrainModel(TrainedModel):
         """Its settings."""
         return self.model.config
 
-    def _from_rest(self):
+    @functools.cached_property
+    def _at_rest(self):
         raise ValueError(
             f'{self.path}: a soil field has no recorded starts: it begins on a terrain, '
             f'`model.stepper(lts.Terrain(...))`'

@@ -9,8 +9,6 @@ import dataclasses
 
 import numpy as np
 
-from learning_to_simulate.scene import RigidMotion
-
 # Particles lower than this share of the body's height make up its lowest row (and likewise above).
 _ROW_SHARE = 0.25
 
@@ -20,11 +18,9 @@ def up_vector(dim: int, up_axis: int) -> np.ndarray:
     return np.eye(dim, dtype=np.float32)[up_axis]
 
 
-def height_of(values, up_axis: int, mean=np.mean, axis: int = -1):
-    """Mean of the up component [...] of values [..., R, D] of the particles of a body; `axis` is
-    that of the particles where others lie between them and the components. `mean` of numpy or
-    TensorFlow."""
-    return mean(values[..., up_axis], axis=axis)
+def speed_of(displacement):
+    """RMS length [...] of the displacements [..., R, D] of the particles of a body."""
+    return np.sqrt((displacement**2).sum(axis=-1).mean(axis=-1))
 
 
 def without_height(values, up_axis: int, mean=np.mean):
@@ -50,18 +46,16 @@ class Axes:
       axis: horizontal axis of the world that the tool drives along.
       sign: +1 or -1, the way along it.
       up: axis against gravity.
-      middle: coordinate of the bed's middle plane across the way, m.
     """
 
     axis: int
     sign: int
     up: int
-    middle: float = 0.0
 
     @classmethod
     def of_bodies(cls, bodies, up: int) -> 'Axes':
         """The axis and way of the longest net travel in most of the groups of bodies
-        (each [S, T, R, D], m); `middle` is 0."""
+        (each [S, T, R, D], m)."""
         found = []
         for body in bodies:
             centre = body.mean(axis=2)
@@ -76,13 +70,12 @@ class Axes:
         return 3 - self.axis - self.up
 
     def plane(self, points) -> np.ndarray:
-        """[..., 2] u and y of points [..., D] of the world, m; D is 2 or 3."""
+        """[..., 2] u and y of points [..., D] of the world, m."""
         return np.stack([self.sign * points[..., self.axis], points[..., self.up]], axis=-1)
 
     def width(self, points) -> np.ndarray:
-        """[S] extent across the way of points [S, R, D], m; 0 where there is no third axis."""
-        flat = points.shape[-1] < 3
-        return np.zeros(len(points)) if flat else np.ptp(points[..., self.across], axis=1)
+        """[S] extent across the way of points [S, R, D], m."""
+        return np.ptp(points[..., self.across], axis=1)
 
 
 def blade_pose(body: np.ndarray, axes: Axes) -> tuple[np.ndarray, np.ndarray]:
@@ -117,15 +110,3 @@ def wheel_pose(body: np.ndarray, axes: Axes):
     turned = -np.unwrap(np.arctan2(cross, dot), axis=1)
     radius = np.sqrt((spokes[:, 0] ** 2).sum(axis=-1)).mean(axis=1)
     return centre, turned, radius, axes.width(body[:, 0])
-
-
-def hidden_height(body: np.ndarray, scene, history: int) -> np.ndarray:
-    """Bodies [S, T, R, D] as a method may see them: of a driven one the height is held from the
-    last given frame on."""
-    if scene.rigid_motion != RigidMotion.DRIVEN:
-        return body
-    centre = body[..., scene.up_axis].mean(axis=2)
-    known = np.where(np.arange(body.shape[1]) < history, centre, centre[:, history - 1 : history])
-    seen = body.copy()
-    seen[..., scene.up_axis] += (known - centre)[:, :, None]
-    return seen

@@ -15,6 +15,7 @@ import contextlib
 import dataclasses
 import hashlib
 import importlib.metadata
+import json
 import os
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any
@@ -55,8 +56,6 @@ def refusing_wrong_fields(path: str) -> Iterator[None]:
     ValueError that names the file."""
     try:
         yield
-    except FileNotFoundError:
-        raise
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise ValueError(
             f'{os.path.join(path, CONFIG_FILE)}: a field is missing, unknown or wrong ({error!r})'
@@ -190,16 +189,19 @@ def folder_digest(path: str) -> str:
     return hashlib.sha256('\n'.join(parts).encode()).hexdigest()
 
 
-def refuse_contradictions(model_path, config, overrides):
-    """Raises ValueError if an override {field: value} is not what the model's config, or scene,
-    says."""
+def refuse_contradictions(model_path: str, overrides: dict) -> None:
+    """Raises ValueError if an override {field: value} is not what the settings, or the scene, of a
+    model say."""
+    values = read_config(model_path)
+    with refusing_wrong_fields(model_path):
+        known = {**values.get('scene', {}), **values['config']}
     for field, value in overrides.items():
-        if not hasattr(config, field):
+        if field not in known:
             raise ValueError(f'{field}={value} is no setting of the model in {model_path}')
-        if value != getattr(config, field):
+        if value != known[field]:
             raise ValueError(
                 f'--{field}={value} contradicts the model in {model_path}, which has '
-                f'{getattr(config, field)}: leave the flag out'
+                f'{known[field]}: leave the flag out'
             )
 
 
@@ -266,13 +268,13 @@ def holds_model(path: str, parts: dict[str, dict], own_files: Iterable[str] = ()
             )
         return False
     stored = read_config(path)
-    for part, values in parts.items():
+    for part, values in json.loads(json.dumps(parts)).items():
         old = stored.get(part)
         old = old if isinstance(old, dict) else {}
         differing = ', '.join(
             f'{k}: {old.get(k)!r} there, {values[k]!r} now'
             for k in sorted(values)
-            if k != 'path' and _plain(old.get(k)) != _plain(values[k])
+            if k != 'path' and old.get(k) != values[k]
         )
         if differing:
             raise ValueError(
@@ -280,7 +282,3 @@ def holds_model(path: str, parts: dict[str, dict], own_files: Iterable[str] = ()
                 f'another --model_path'
             )
     return True
-
-
-def _plain(value):
-    return [_plain(v) for v in value] if isinstance(value, (list, tuple)) else value

@@ -88,8 +88,7 @@ def summarise(results, model, metadata: dict, split: str) -> dict:
             if scene.rigid_motion == RigidMotion.DRIVEN:
                 errors['height_mm'] = metrics.height_mm(position, truth, n_rigid, scene.up_axis)
             errors['soil_mse'] = metrics.soil_mse(position, truth, n_rigid, scene.n_soil)
-            arrays = getattr(rollout, 'arrays', {}) if name == 'model' else {}
-            errors['soil_mm'] = [soil.soil_mm(soil.of_rollout(position[0, :, n_rigid:], arrays))]
+            errors['soil_mm'] = [soil.soil_mm(soil.of_modes(position[0, :, n_rigid:]))]
             if forces[name] is not None:
                 errors |= metrics.load_errors(forces[name], group.force[:, H:], axes)
             rows.append({'record': record} | {k: float(v[0]) for k, v in errors.items()})
@@ -162,8 +161,7 @@ def soil_of_run(group, rollout, scene):
     n = group.n_rigid
     recorded = group.with_left_modes(group.position, as_recorded=True)[0, :, n:]
     found = _Truths({'mode_number': scene.n_modes}, None, scene).of(group, recorded)
-    position = group.with_left_modes(rollout.position)[0, :, n:]
-    return found, found.of_rollout(position, getattr(rollout, 'arrays', {}))
+    return found, found.of_modes(group.with_left_modes(rollout.position)[0, :, n:])
 
 
 def total_force(force):
@@ -236,8 +234,7 @@ def _arrays(group, rollout) -> dict:
         arrays['ground_truth_body_forces'] = group.force[0, H:].reshape(each).astype(np.float32)
     if group.source is not None:
         arrays |= {'split': np.array(group.source[1]), 'record': group.record[0]}
-    # What a method says beyond modes, e.g. the particles of one that has none.
-    return arrays | getattr(rollout, 'arrays', {})
+    return arrays
 
 
 # What files call the methods -> what is printed.

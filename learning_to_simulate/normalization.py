@@ -12,9 +12,10 @@ from typing import Self
 
 import numpy as np
 
-from learning_to_simulate.axes import height_of, without_height
+from learning_to_simulate.axes import speed_of, without_height
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH, TrainConfig
 from learning_to_simulate.scene import RigidMotion, Scene, require
+from pca_tools.metadata import DIM
 
 # A quieter axis than this share of the class's loudest one counts as still: the lateral motion of a
 # symmetric body is exactly zero, and dividing by its round-off would feed noise to the network.
@@ -127,23 +128,21 @@ class Statistics(Arrays):
     def check(self, scene: Scene) -> None:
         """Raises ValueError where the arrays do not fit the scene or are of no use."""
         context = len(scene.context_names)
-        dim = self.origin.shape[-1] if self.origin.ndim else 0
-        require(dim in (2, 3), 'statistics.origin of shape', self.origin.shape)
-        force = dim  # of one body, or of all together, or of each
-        if scene.bodies and self.force_mean is not None and self.force_mean.size > dim:
-            force = dim * len(scene.bodies)
+        force = DIM  # of one body, or of all together, or of each
+        if scene.bodies and self.force_mean is not None and self.force_mean.size > DIM:
+            force = DIM * len(scene.bodies)
         places = self.surface.shape[0] if self.surface is not None and self.surface.ndim else 0
         if self.surface is not None:
             require(0 < places <= MAX_PLACES, 'places of statistics.surface', places)
         self.check_arrays(
-            {'K': scene.n_modes + 1, 'D': dim, 'C': context, 'F': force, 'P': places,
-             'W': 2 + scene.n_modes * dim},
+            {'K': scene.n_modes + 1, 'D': DIM, 'C': context, 'F': force, 'P': places,
+             'W': 2 + scene.n_modes * DIM},
             {'force': scene.has_force, 'context': bool(context),
              'contact': self.surface is not None},
         )  # fmt: skip
         prescribed = scene.rigid_motion == RigidMotion.PRESCRIBED and not scene.bodies
         if self.contact is not None:
-            ways = set(range(dim)) - {scene.up_axis}
+            ways = set(range(DIM)) - {scene.up_axis}
             require(self.contact[0] in ways, 'axis of statistics.contact', float(self.contact[0]))
             require(prescribed and scene.has_force, 'statistics.contact of the scene', scene.name)
 
@@ -176,7 +175,7 @@ def compute_statistics(groups, metadata, scene: Scene, config: TrainConfig) -> S
         body, modes = orders[config.rigid_order][:1], orders[config.mode_order][1:]
         values[f'target_{name}'] = np.concatenate([body, modes])
     if scene.rigid_motion == RigidMotion.DRIVEN:
-        heights = [height_of(p[:, :, :-r], up) for p in positions]
+        heights = [p[:, :, :-r, up].mean(axis=-1) for p in positions]
         values['height_std'] = _changes(heights, 0)[1]
         values['height_velocity_std'] = _changes(heights, 1)[1]
         if not config.is_published:
@@ -184,7 +183,7 @@ def compute_statistics(groups, metadata, scene: Scene, config: TrainConfig) -> S
             mean, std = _changes(heights, config.rigid_order)
             values['target_mean'][0, up], values['target_std'][0, up] = mean[0], std[0]
     if config.rate_scaled and scene.rigid_motion.is_known:
-        speeds = [_speeds(v[:, :, :-r]) for v in velocities]
+        speeds = [speed_of(v[:, :, :-r])[..., None] for v in velocities]
         values['body_speed'] = np.array([_rows(speeds).mean()])
         if not values['body_speed'] > 0:
             raise ValueError(
@@ -237,11 +236,6 @@ def _changes(heights, order):
     """Mean and standard deviation [1] of the order-th difference of heights [S, T]."""
     rows = np.concatenate([np.diff(h, n=order, axis=1).reshape(-1, 1) for h in heights])
     return np.array([rows.mean()]), floored(rows.std(axis=0))
-
-
-def _speeds(displacement):
-    """RMS displacement [S, T, 1] of bodies that move by [S, T, R, D]."""
-    return np.sqrt((displacement**2).sum(axis=-1).mean(axis=-1))[..., None]
 
 
 def _of_context(name, values):
@@ -335,7 +329,7 @@ def _ranges(groups, scene):
         add('given', bodies)
         add('given_velocity', moves)
         add('body_extent', [np.ptp(body, axis=2) for body in bodies])
-        add('body_speed', map(_speeds, moves))
+        add('body_speed', [speed_of(move)[..., None] for move in moves])
     if scene.context_names:
         add('context', _contexts(groups))
     return found

@@ -7,7 +7,6 @@ step sees is a function of (seed, step) alone.
 
 import dataclasses
 import os
-from typing import Any
 
 import numpy as np
 
@@ -56,10 +55,11 @@ class RunGroup:
     def context_changes(self) -> bool:
         return self.context is not None and self.context.ndim == 3
 
-    def context_at(self, frame: int, run: int | None = None) -> np.ndarray | None:
-        """float64 [S, C], or [C] of one run: the context in a frame; None without one."""
-        context = self.context[:, frame] if self.context_changes else self.context
-        return context if context is None or run is None else context[run]
+    def context_at(self, frame: int, run: int) -> np.ndarray | None:
+        """float64 [C]: the context in a frame of a run; None without one."""
+        if self.context is None:
+            return None
+        return self.context[run, frame] if self.context_changes else self.context[run]
 
     @property
     def n_left_modes(self) -> int:
@@ -150,29 +150,31 @@ def _stack(n_rigid, members, modes):
     def stacked(arrays):
         return np.stack(arrays).astype(np.float64)
 
-    thinned = any(run.n_rigid != n_rigid for run in runs)
-    more = {}
-    if thinned:
-        more['body'] = tuple(run.position[:, : run.n_rigid].astype(np.float64) for run in runs)
-        more['kept'] = np.stack(kept)
+    body = left_modes = None
+    if any(run.n_rigid != n_rigid for run in runs):
+        body = tuple(run.position[:, : run.n_rigid].astype(np.float64) for run in runs)
     if 0 < modes < first.n_modes:
-        more['left_modes'] = stacked([run.position[:, run.n_rigid + modes :] for run in runs])
+        left_modes = stacked([run.position[:, run.n_rigid + modes :] for run in runs])
     return RunGroup(
         n_rigid=n_rigid,
         particle_type=first.particle_type[nodes[0]],
         position=stacked([run.position[:, n] for run, n in zip(runs, nodes, strict=True)]),
-        force=None if first.force is None else np.stack([force_of(run) for run in runs]),
+        force=force_of(runs),
         context=context_of(runs),
         record=np.array(record),
-        **more,
+        body=body,
+        kept=None if body is None else np.stack(kept),
+        left_modes=left_modes,
     )
 
 
-def force_of(run):
-    """float64 [T, D] (N) on the body, or [T, B D] on several where they are known one by one; None
-    without a force."""
-    force = run.force if run.body_force is None else run.body_force.reshape(run.n_frames, -1)
-    return None if force is None else force.astype(np.float64)
+def force_of(runs) -> np.ndarray | None:
+    """The force on the body in T-frame runs, N, float64 [S, T, D], or [S, T, B D] on B bodies where
+    it is known of each."""
+    if runs[0].force is None:
+        return None
+    forces = (run.force if run.body_force is None else run.body_force for run in runs)
+    return np.stack([force.reshape(len(force), -1) for force in forces]).astype(np.float64)
 
 
 def context_of(runs) -> np.ndarray | None:
@@ -194,17 +196,19 @@ def read_scene(
         rigid_particle_type=int(first.particle_type[0]) if first.n_rigid else None,
         rigid_motion=rigid_motion or ('none' if not first.n_rigid else None),
     )
-    changes: dict[str, Any] = {'n_modes': first.position.shape[2] - first.n_rigid}
-    edges = scene.rigid_edges
+    edges, bodies, n_soil = scene.rigid_edges, scene.bodies, scene.n_soil
     if scene.rigid_motion == RigidMotion.PREDICTED and not edges:
         edges = connectivity_utils.nearest_neighbour_edges(first.position[0, 0, : first.n_rigid])
-    if scene.bodies and first.kept is not None:
-        names, counts = zip(*scene.bodies, strict=True)
+    if bodies and first.kept is not None:
+        names, counts = zip(*bodies, strict=True)
         of_body = np.searchsorted(np.cumsum(counts), first.kept[0], side='right')
-        changes['bodies'] = tuple(zip(names, np.bincount(of_body).tolist(), strict=True))
-    if scene.n_soil is None:
-        changes['n_soil'] = _soil_particles_of_eigenvalues(folder)
-    return dataclasses.replace(scene, rigid_edges=edges, **changes)
+        bodies = tuple(zip(names, np.bincount(of_body).tolist(), strict=True))
+    if n_soil is None:
+        n_soil = _soil_particles_of_eigenvalues(folder)
+    n_modes = first.position.shape[2] - first.n_rigid
+    return dataclasses.replace(
+        scene, n_modes=n_modes, rigid_edges=edges, bodies=bodies, n_soil=n_soil
+    )
 
 
 def _soil_particles_of_eigenvalues(folder):

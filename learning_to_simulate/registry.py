@@ -6,9 +6,8 @@ The module of its `code` has three functions:
   train(data_path, model_path, config, options: TrainOptions) -> dict
       See `train` below. Leaves a model folder: `config.json` with `schema_version` and, under
       `config`, the settings with the method's name as `model`.
-  open_model(model_path, data_path, split, overrides=None, raw_path=None) -> OpenedModel
-      A trained model with the runs of a split; refuses overrides {field: value} that contradict
-      the model, and data that it does not fit.
+  open_model(model_path, data_path, split, raw_path=None) -> OpenedModel
+      A trained model with the runs of a split; refuses data that it does not fit.
   load(model_path) -> model
 
 Its settings are a frozen dataclass with the fields `preset` and `model`; `presets` lists those of
@@ -128,10 +127,12 @@ def open_model(
     overrides: dict | None = None,
     raw_path: str | None = None,
 ) -> OpenedModel:
-    """The model of any method with the runs of a split; see above."""
+    """The model of any method with the runs of a split; see above. ValueError, too, for overrides
+    {field: value} that are not what its settings or its scene say."""
     method = of_folder(model_path)
     method.check_raw_path(raw_path)
-    return method.load_code().open_model(model_path, data_path, split, overrides, raw_path)
+    checkpoints.refuse_contradictions(model_path, overrides or {})
+    return method.load_code().open_model(model_path, data_path, split, raw_path)
 
 
 def of_folder(model_path: str) -> Method:

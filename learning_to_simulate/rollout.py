@@ -7,14 +7,19 @@ import numpy as np
 import tensorflow as tf
 
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
-from learning_to_simulate.rollout_status import Judgement, RolloutStatus, judge
+from learning_to_simulate.rollout_status import Judgement, judge
 from learning_to_simulate.subspace.learned_simulator import (
     Layout,
     LearnedSimulator,
     SimulatorState,
     initial_state,
 )
-from learning_to_simulate.subspace.rigid_body import KnownMotion, corrected, known_motion, shape_of
+from learning_to_simulate.subspace.rigid_body import (
+    KnownMotion,
+    known_motion,
+    rigid_correction,
+    shape_of,
+)
 
 
 class Rollout(NamedTuple):
@@ -34,10 +39,6 @@ class Rollout(NamedTuple):
     seconds: float
     edges: int = 0
 
-    @property
-    def status(self) -> list[RolloutStatus]:
-        return [judgement.status for judgement in self.judgements]
-
 
 def corrected_step(simulator, layout: Layout, state: SimulatorState, known, context, shape):
     """One frame of `LearnedSimulator.step`, a predicted body kept in a shape of `shape_of` (None
@@ -46,10 +47,11 @@ def corrected_step(simulator, layout: Layout, state: SimulatorState, known, cont
     if shape is None:
         return after, force
     n = layout.n_rigid
-    placed, velocity = corrected(shape, layout.origin[:n], state.offset[:, :n], after.offset[:, :n])
-    newest = tf.concat([velocity, after.velocity[:, n:, -1]], axis=1)
+    origin, before = layout.origin[:n], tf.cast(state.offset[:, :n], tf.float64)
+    placed = rigid_correction(shape, tf.cast(after.offset[:, :n], tf.float64) + origin) - origin
+    newest = tf.concat([tf.cast(placed - before, tf.float32), after.velocity[:, n:, -1]], axis=1)
     return SimulatorState(
-        tf.concat([placed, after.offset[:, n:]], axis=1),
+        tf.concat([tf.cast(placed, tf.float32), after.offset[:, n:]], axis=1),
         tf.concat([after.velocity[:, :, :-1], newest[:, :, None]], axis=2),
     ), force
 

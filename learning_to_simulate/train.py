@@ -128,15 +128,11 @@ def _overrides() -> dict:
 
 
 def _open(overrides) -> registry.OpenedModel:
-    opened = registry.open_model(
+    if _RIGID_MOTION.value is not None:
+        overrides = overrides | {'rigid_motion': _RIGID_MOTION.value}
+    return registry.open_model(
         _MODEL_PATH.value, _DATA_PATH.value, _EVAL_SPLIT.value, overrides, raw_path=_RAW_PATH.value
     )
-    if _RIGID_MOTION.value is not None:
-        if registry.of_folder(_MODEL_PATH.value).on_terrain:
-            raise ValueError('--rigid_motion is for models of a scene; a soil field has none')
-        motion = {'rigid_motion': _RIGID_MOTION.value}
-        checkpoints.refuse_contradictions(_MODEL_PATH.value, opened.model.simulator.scene, motion)
-    return opened
 
 
 def _evaluate_one_step(overrides):

@@ -137,10 +137,9 @@ def load(model_path: str) -> RidgeModel:
     return RidgeModel(SimpleNamespace(config=config, scene=scene, statistics=statistics), method)
 
 
-def open_model(model_path, data_path, split, overrides=None, raw_path=None) -> OpenedModel:
+def open_model(model_path, data_path, split, raw_path=None) -> OpenedModel:
     """A fitted regression with the runs of a split; see `registry`."""
     model = load(model_path)
-    checkpoints.refuse_contradictions(model_path, model.simulator.config, overrides or {})
     metadata = dataset.read_metadata(data_path)
     checkpoints.check_dataset(model_path, model, data_path, metadata)
     groups = reading_utils.read_groups(data_path, split, metadata)

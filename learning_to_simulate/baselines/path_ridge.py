@@ -24,7 +24,7 @@ import numpy as np
 import tqdm
 
 from learning_to_simulate import metrics, swept
-from learning_to_simulate.axes import Axes, blade_pose, hidden_height, wheel_pose
+from learning_to_simulate.axes import Axes, blade_pose, wheel_pose
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.scene import RigidMotion, Scene
 from learning_to_simulate.swept import EDGE_RADIUS
@@ -46,20 +46,26 @@ SETS = ('path', 'swept', 'bed')
 PROFILE_BINS = 15
 
 
+def seen_body(body, scene, height=None) -> np.ndarray:
+    """Bodies [S, T, R, D] as a method may see them: of a driven one the height is held from the
+    last given frame on, or is `height` [S, T - H] (of the mean particle, m)."""
+    if scene.rigid_motion != RigidMotion.DRIVEN:
+        return body
+    centre = body[..., scene.up_axis].mean(axis=2)
+    known = centre.copy()
+    known[:, H:] = centre[:, H - 1 : H] if height is None else height
+    seen = body.copy()
+    seen[..., scene.up_axis] += (known - centre)[:, :, None]
+    return seen
+
+
 def held_position(group, scene, height=None) -> np.ndarray:
     """Positions [S, T - H, V, D] of soil that stays still and of the body as it is known; `height`
-    [S, T - H] is predicted of a driven body's mean particle, m (None: it is held)."""
-    n_frame = group.position.shape[1] - H
-    position = metrics.stay_still(group.position[:, :H], n_frame)
-    body = group.position[:, H:, : group.n_rigid].copy()
-    if scene.rigid_motion == RigidMotion.DRIVEN:
-        up = scene.up_axis
-        centre = body[..., up].mean(axis=2)
-        if height is None:
-            height = group.position[:, H - 1 : H, : group.n_rigid, up].mean(axis=2)
-        body[..., up] += (height - centre)[:, :, None]
+    as of `seen_body`."""
+    position = metrics.stay_still(group.position[:, :H], group.position.shape[1] - H)
     if scene.rigid_motion.is_known:
-        position[:, :, : group.n_rigid] = body
+        body = seen_body(group.position[:, :, : group.n_rigid], scene, height)
+        position[:, :, : group.n_rigid] = body[:, H:]
     return position
 
 
@@ -106,7 +112,7 @@ class PathInputs:
         if self.scene.rigid_motion == RigidMotion.PRESCRIBED:
             parts = self._blade(body, name)
         else:
-            parts = self._wheel(hidden_height(body, self.scene, H))
+            parts = self._wheel(seen_body(body, self.scene))
         if group.context is not None:
             by_frame = group.context if group.context_changes else group.context[:, None]
             # Loads and gravities span decades: logarithms of what is positive.

@@ -31,9 +31,7 @@ class Share:
             raise ValueError(f'TF_CONFIG is not what TensorFlow takes: {text[:200]}') from error
         if others or not 0 <= self.index < self.count:
             raise ValueError(f'TF_CONFIG: a list of workers and an index in it, not {text[:200]}')
-        self._strategy = (
-            tf.distribute.MultiWorkerMirroredStrategy() if self.count > 1 else None
-        )  # fmt: skip
+        self._strategy = tf.distribute.MultiWorkerMirroredStrategy() if self.count > 1 else None
 
     def folder(self, model_path: str) -> str:
         """The model folder of this process: the first one has the name, others a copy beside it."""

@@ -322,12 +322,11 @@ def load(path: str) -> ParticleModel:
     return checkpoints.filled(path, make)
 
 
-def open_model(model_path, data_path, split, overrides=None, raw_path=None) -> OpenedModel:
+def open_model(model_path, data_path, split, raw_path=None) -> OpenedModel:
     """A trained model with the runs of a split; see `registry`. ValueError for particles of another
     source or number, too."""
     model = load(model_path)
     scene, config = model.simulator.scene, model.simulator.config
-    checkpoints.refuse_contradictions(model_path, config, overrides or {})
     source = checkpoints.read_config(model_path)['data']['source']
     if source != (RAW if raw_path else DECODED):
         raise ValueError(

@@ -11,7 +11,7 @@ import sonnet as snt
 import tensorflow as tf
 from scipy.spatial import cKDTree
 
-from learning_to_simulate.axes import height_of, without_height
+from learning_to_simulate.axes import speed_of, without_height
 from learning_to_simulate.normalization import Arrays, array, floored
 from learning_to_simulate.scene import RigidMotion, Scene
 from learning_to_simulate.subspace import graph_network
@@ -51,23 +51,18 @@ class ParticleStatistics(Arrays):
         self.check_arrays({'D': self.low.size, 'C': context}, present)
 
 
-def _speed(displacement):
-    """RMS length [...] of the body's displacements [..., R, D]."""
-    return np.sqrt((displacement**2).sum(axis=-1).mean(axis=-1))
-
-
 def compute_statistics(group, scene: Scene, rate_scaled: bool) -> ParticleStatistics:
     """Statistics of a `RunGroup` of particles; with `rate_scaled` motion is counted per
     displacement of the body: ValueError if none moves."""
     n = group.n_rigid
     velocity = np.diff(group.position, axis=1)
-    speeds = _speed(velocity[:, :, :n]) if n else np.zeros(1)
+    speeds = speed_of(velocity[:, :, :n]) if n else np.zeros(1)
     if rate_scaled and not speeds.mean() > 0:
         raise ValueError('rate_scaled needs a body that moves in the training runs')
     body_speed = speeds.mean() or 1.0
     if rate_scaled:
         velocity = velocity / np.maximum(speeds / body_speed, RATE_FLOOR)[:, :, None, None]
-    height = height_of(group.position[:, :, :n], scene.up_axis) if n else np.zeros((1, 3))
+    height = group.position[:, :, :n, scene.up_axis].mean(axis=-1) if n else np.zeros((1, 3))
     rows = [velocity[:, :, :n], velocity[:, :, n:]] if n else [velocity, velocity]
     stds = [np.sqrt((row**2).mean(axis=(0, 1, 2))) for row in rows]
     soil = group.position[:, 0, n:]
@@ -186,7 +181,7 @@ class ParticleSimulator(snt.Module):
         where motion is not counted per displacement of the body."""
         if not (self.config.rate_scaled and self.scene.rigid_motion.is_known):
             return 1.0
-        return float(max(_speed(body_velocity) / self.statistics.body_speed[0], RATE_FLOOR))
+        return float(max(speed_of(body_velocity) / self.statistics.body_speed[0], RATE_FLOOR))
 
     def given_motion(self, displacement):
         """The given part of the body's true displacement [R, D]: all but its mean height where that

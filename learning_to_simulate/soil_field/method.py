@@ -156,11 +156,9 @@ def load(model_path: str) -> field_lib.SoilField:
     return field_lib.load(model_path)
 
 
-def open_model(model_path, data_path, split, overrides=None, raw_path=None) -> OpenedModel:
+def open_model(model_path, data_path, split, raw_path=None) -> OpenedModel:
     """A trained field with the runs of a split of one or several datasets; see `registry`."""
-    field = load(model_path)
-    checkpoints.refuse_contradictions(model_path, field.config, overrides or {})
-    return opened(field, model_path, data_path, split)
+    return opened(load(model_path), model_path, data_path, split)
 
 
 def opened(field: field_lib.SoilField, model_path: str, data_path: str, split: str) -> OpenedModel:

@@ -79,10 +79,10 @@ class Contact:
 
 def fit(groups, subspace: Subspace, origin, scene) -> Contact | None:
     """The reader for training runs (list of `RunGroup`), with the subspace of the modes that are
-    nodes and their origin [r, D], m. None where there is nothing to find: no force, not one body in
-    space whose whole motion is given, or tools that hardly leave the soil."""
+    nodes and their origin [r, D], m. None where there is nothing to find: no force, not one body
+    whose whole motion is given, or tools that hardly leave the soil."""
     is_one = scene.rigid_motion == RigidMotion.PRESCRIBED and not scene.bodies
-    if not is_one or not scene.has_force or origin.shape[1] != 3:
+    if not is_one or not scene.has_force:
         return None
     bodies = [g.position[:, :, : g.n_rigid] for g in groups]
     offsets = [g.position[:, :, g.n_rigid :] - origin for g in groups]

@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 import tensorflow as tf
 
-from learning_to_simulate.axes import height_of
 from learning_to_simulate.scene import RigidMotion
 
 EMBEDDING_SIZE = 16  # Sanchez-Gonzalez et al. 2020
@@ -68,8 +67,8 @@ def _coming(view):
 def _height(view):
     """Height of a driven body and its H - 1 last changes, [B, 1, H]."""
     n, up, s = view.layout.n_rigid, view.simulator.scene.up_axis, view.simulator.statistics
-    height = height_of(view.state.offset[:, :n], up, tf.reduce_mean)[:, None]
-    change = height_of(view.state.velocity[:, :n], up, tf.reduce_mean, axis=1)
+    height = tf.reduce_mean(view.state.offset[:, :n, up], axis=1)[:, None]
+    change = tf.reduce_mean(view.state.velocity[:, :n, :, up], axis=1)
     scales = s.height_std[0].astype('f4'), s.height_velocity_std[0].astype('f4')
     return tf.concat([height / scales[0], change / scales[1]], axis=-1)[:, None]
 

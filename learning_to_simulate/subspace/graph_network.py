@@ -59,11 +59,11 @@ class _EdgeBlock(snt.Module):
         self._model = make_model()
 
     @snt.once
-    def _create_variables(self, width, dtype):
-        self._model(tf.zeros([1, 1, width], dtype))
+    def _create_variables(self, width):
+        self._model(tf.zeros([1, 1, width]))
 
     def __call__(self, edges, nodes, senders, receivers):
-        self._create_variables(3 * edges.shape[-1], edges.dtype)
+        self._create_variables(3 * edges.shape[-1])
         _, layer_norm, first, *rest = self._model.submodules
         of_edge, of_receiver, of_sender = tf.split(first.w, 3)
         # W [e_ij, h_i, h_j] + b = W_e e_ij + W_r h_i + W_s h_j + b of receiver i and sender j.
@@ -88,7 +88,6 @@ class _InteractionNetwork(snt.Module):
         # m_ij = phi_e(e_ij, h_i, h_j); h_i += phi_v(sum or mean over j of m_ij, h_i); e_ij += m_ij.
         messages = self._edge_block(edges, nodes, senders, receivers)
         # A small dense product compiles to faster code than a scatter of a few hundred rows.
-        incidence = tf.cast(incidence, messages.dtype)
         if len(incidence.shape) == 2:
             received = tf.einsum('ve,bel->bvl', incidence, messages)
         else:
@@ -147,7 +146,7 @@ class EncodeProcessDecode(snt.Module):
         """Runs the network on B equal graphs.
 
         Args:
-          nodes: float32 [B, V, F] node features; the network computes in their type.
+          nodes: float32 [B, V, F] node features.
           edges: float32 [B, E, G] edge features.
           senders, receivers: int32 [E] numpy arrays, the edges of one graph.
           edge_gates: float32 [B or 1, E] in [0, 1], weights of the messages: 0 is as if the edge

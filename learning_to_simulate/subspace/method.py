@@ -128,7 +128,7 @@ def _close_gates(training, data_path, model_path):
     return text + (f'; the graph is {edges.degenerate}' if edges.degenerate else '')
 
 
-def open_model(model_path, data_path, split, overrides=None, raw_path=None) -> OpenedModel:
+def open_model(model_path, data_path, split, raw_path=None) -> OpenedModel:
     """A trained model with the runs of a split; see `registry`."""
 
     def one_step_errors():
@@ -137,11 +137,10 @@ def open_model(model_path, data_path, split, overrides=None, raw_path=None) -> O
         return Trainer(model, groups).one_step_errors()
 
     model = load(model_path)
-    config = model.simulator.config
-    checkpoints.refuse_contradictions(model_path, config, overrides or {})
     metadata = dataset.read_metadata(data_path)
     checkpoints.check_dataset(model_path, model, data_path, metadata)
-    groups = reading_utils.read_groups(data_path, split, metadata, **config.nodes)
+    nodes = model.simulator.config.nodes
+    groups = reading_utils.read_groups(data_path, split, metadata, **nodes)
     for group in groups:
         model.layout(group.n_rigid)
     force_limit = starts.read_force_limit(model_path)

@@ -80,11 +80,3 @@ def shape_of(offset, layout, scene: Scene):
     n = layout.n_rigid
     position = tf.cast(offset[:, :n], tf.float64) + layout.origin[:n]
     return position - tf.reduce_mean(position, axis=1, keepdims=True)
-
-
-def corrected(shape, origin, before, after):
-    """Offset and velocity, float32 [B, R, D], of predicted bodies that keep a shape; of their
-    offsets before the frame and as predicted."""
-    placed = rigid_correction(shape, tf.cast(after, tf.float64) + origin) - origin
-    velocity = tf.cast(placed - tf.cast(before, tf.float64), tf.float32)
-    return tf.cast(placed, tf.float32), velocity

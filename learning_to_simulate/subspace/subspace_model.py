@@ -11,11 +11,7 @@ from learning_to_simulate.connectivity_utils import build
 from learning_to_simulate.normalization import Statistics
 from learning_to_simulate.scene import MAX_RIGID, is_int, require
 from learning_to_simulate.subspace import path_memory, whole_state
-from learning_to_simulate.subspace.learned_simulator import (
-    Layout,
-    LearnedSimulator,
-    SimulatorState,
-)
+from learning_to_simulate.subspace.learned_simulator import Layout, LearnedSimulator, SimulatorState
 from learning_to_simulate.subspace.rigid_body import KnownMotion
 from pca_tools.subspace import Subspace
 

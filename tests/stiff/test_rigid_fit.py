@@ -24,17 +24,11 @@ SHAPES = {
 CORRECTION = tf.function(rigid_body.rigid_correction, jit_compile=True)
 
 
-def poses(count, seed):
-    rng = np.random.default_rng(seed)
-    for _ in range(count):
-        yield Rotation.random(random_state=int(rng.integers(1 << 30))).as_matrix()
-
-
 @pytest.mark.parametrize('shape', SHAPES.values(), ids=SHAPES)
 def test_compiled_correction_places_every_body(shape):
     """The rollout's own fit, as XLA compiles it, recovers exact poses of degenerate bodies too."""
     centred = shape - shape.mean(axis=0)
-    targets = np.stack([shape @ rotation.T + [0.5, -1.0, 2.0] for rotation in poses(64, 2)])
+    targets = shape @ Rotation.random(64, rng=2).as_matrix() + [0.5, -1.0, 2.0]
     placed = CORRECTION(np.repeat(centred[None], 64, axis=0), targets).numpy()
     # Measured 1e-15 to 5e-8 m, the latter on a cloud of 4 m: XLA's eigenvalue solver stops there.
     np.testing.assert_allclose(placed, targets, atol=5e-7)
@@ -45,7 +39,7 @@ def test_deformed_body_is_rigid_after_each_correction(shape):
     """What a network leaves: edge lengths come back to round-off, whatever the deformation. The
     nearest rigid placement is unique, so the SVD fit and scipy find it as well."""
     centred = shape - shape.mean(axis=0)
-    deformed = np.stack([centred @ rotation.T for rotation in poses(50, 4)])
+    deformed = centred @ Rotation.random(50, rng=4).as_matrix()
     deformed += 0.05 * np.random.default_rng(3).standard_normal(deformed.shape)
     shapes = np.repeat(centred[None], 50, axis=0)
     placed = CORRECTION(shapes, deformed).numpy()

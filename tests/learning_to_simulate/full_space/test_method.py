@@ -213,7 +213,7 @@ def test_training_learns_resumes_and_refuses(folders, tmp_path):
     with pytest.raises(ValueError, match='trained on particles of decoded .*: leave --raw_path'):
         particles.open_model(path, folder, 'test', raw_path=raw)
     with pytest.raises(ValueError, match='noise_std=0.3 contradicts'):
-        particles.open_model(path, folder, 'test', {'noise_std': 0.3})
+        registry.open_model(path, folder, 'test', {'noise_std': 0.3})
 
 
 def test_bad_data_is_refused(folders, tmp_path):

@@ -35,7 +35,7 @@ def test_groups_hold_it_by_frame_and_statistics_are_those_of_all_frames(tmp_path
     """What is constant is held once."""
     changing, group = made
     assert group.context.shape == (*group.position.shape[:2], 2)
-    np.testing.assert_array_equal(group.context_at(9), group.context[:, 9])
+    np.testing.assert_array_equal(group.context_at(9, 1), group.context[1, 9])
     model, (constant,), metadata = models.make(tmp_path, motion='driven', context=True)
     assert constant.context.shape == (len(constant.position), 2)
     s, flat = changing.simulator.statistics, group.context.reshape(-1, 2)

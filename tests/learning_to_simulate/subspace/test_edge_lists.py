@@ -136,13 +136,7 @@ def test_damaged_files_are_refused(tmp_path, change, message):
 
 @pytest.mark.parametrize(
     ('name', 'content', 'message'),
-    [
-        ('a.npy', b'not an array', 'plain .npy'),
-        ('a.npy', b'', 'plain .npy|empty'),
-        ('a.npy', b'version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 9\n', 'git-lfs'),
-        ('a.json', b'[1, 2', 'not a JSON'),
-        ('a.json', b'[1, 2]', 'schema version'),
-    ],
+    [('a.npy', b'not an array', 'plain .npy'), ('a.json', b'[1, 2]', 'schema version')],
 )
 def test_foreign_files_are_refused(tmp_path, name, content, message):
     (tmp_path / name).write_bytes(content)

@@ -40,10 +40,7 @@ CASES = {
     },
     'fcg_original, predicted': {'preset': 'fcg_original', 'motion': 'predicted'},
     'mlp, contact': {'preset': 'mlp', 'contact': True},
-    'mlp, deeper': {
-        'preset': 'mlp',
-        'overrides': {'velocity_inputs': 3, 'hidden_layers': 3},
-    }
+    'mlp, deeper': {'preset': 'mlp', 'overrides': {'velocity_inputs': 3, 'hidden_layers': 3}}
     | DRIVEN,
 } | {
     f'{preset}, {name}': {'preset': preset, 'shaken': 0.3} | data

@@ -3,12 +3,7 @@
 import numpy as np
 import pytest
 
-from learning_to_simulate import (
-    checkpoints,
-    evaluation,
-    reading_utils,
-    registry,
-)
+from learning_to_simulate import checkpoints, evaluation, reading_utils, registry
 from pca_tools import dataset, files
 from tests.learning_to_simulate import models, synthetic
 from tests.learning_to_simulate.native import worlds

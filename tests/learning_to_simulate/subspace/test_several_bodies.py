@@ -5,13 +5,12 @@ import os
 
 import numpy as np
 import pytest
-import tensorflow as tf
 
 from learning_to_simulate import evaluation, rollout
 from learning_to_simulate.native import model_data
 from learning_to_simulate.presets import make_config
+from learning_to_simulate.rollout_status import OK
 from learning_to_simulate.scene import Scene
-from learning_to_simulate.subspace.trainer import Trainer
 from pca_tools import dataset, files
 from tests.learning_to_simulate import models, synthetic
 from tests.learning_to_simulate.twins.numpy_twin import Twin, WholeStateTwin
@@ -94,23 +93,13 @@ def test_a_step_is_that_of_the_numpy_twin(data, preset):
     np.testing.assert_allclose(force, expected_force, atol=1e-4 * np.abs(expected_force).max())
 
 
-def test_training_windows_hold_the_force_on_each(made):
-    model, group = made
-    (tensors,) = Trainer(model, [group])._tensors
-    s, seed = model.simulator.statistics, tf.constant([1, 2])
-    force = tensors.windows(8, H + 1, seed).force
-    run, start = (x.numpy() for x in tensors.picks(8, H + 1, seed))
-    expected = (group.force[run, start + H] - s.force_mean) / s.force_std
-    np.testing.assert_allclose(force[:, H], expected, rtol=1e-4, atol=1e-5)
-
-
 def test_files_and_errors_are_of_the_force_on_each(made, tmp_path):
     """Half a newton too much on the one and too little on the other: the total is right."""
     model, group = made
     off = np.repeat([[0.5, -0.5]], 3, axis=1)
     result = rollout.Rollout(
         group.position[:1, H:], (group.force[:1, H:] + off).astype(np.float32),
-        [rollout.Judgement(rollout.RolloutStatus.OK)], 1.0,
+        [OK], 1.0,
     )  # fmt: skip
     results = [(0, group.select(0), result)]
     summary = evaluation.summarise(results, model, {}, 'test')
