@@ -256,7 +256,7 @@ class TfAnchor:
 
     def leaves(self, pose) -> bool:
         """Whether the bins move on where the tool goes to a pose [7]."""
-        origin = self._passage.state.origin[0]
+        origin = self._passage.state.origin
         return sweep.follow(origin, self._passage.seen(pose)[0]) != origin
 
     def follow(self, pose, dt: float) -> None:
@@ -267,7 +267,7 @@ class TfAnchor:
         """float32 [P, 3], m, world: where particles are now that were at rest [P, 3]."""
         passage, points = self._passage, rest.astype(np.float32)
         local = passage.place.laid(passage.place.local(rest)) / passage.scale
-        places = local - [passage.state.origin[0], passage.level, 0.0]
+        places = local - [passage.state.origin, passage.level, 0.0]
         moved = self._field.displacement(passage, places, self._members)
         now = np.flatnonzero(moved.any(axis=1))
         # Those that rest are as they were, to the last bit.

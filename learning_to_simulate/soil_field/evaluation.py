@@ -348,10 +348,10 @@ def edge_depth(run: Run, frames: sweep.Frame) -> np.ndarray:
     """[T] m: how deep the lowest point of a tool lies under the terrain right ahead of it; frames
     of `samples.episode_of`."""
     tip, height = (frames.scalars[:, 0, sweep.SCALARS.index(n)] for n in ('tip', 'height'))
-    scale, grid = run.tool.scale, sweep.GRID
-    ahead = tip.astype(np.float64) + run.tool.radius / scale + grid.spacing
+    scale = run.tool.scale
+    ahead = tip.astype(np.float64) + run.tool.radius / scale + sweep.SPACING
     profile = (frames.bins[..., sweep.SURFACE] - frames.bins[..., sweep.CUT]).mean(axis=1)
-    found = [np.interp(x, grid.offsets, p) for x, p in zip(ahead, profile, strict=True)]
+    found = [np.interp(x, sweep.OFFSETS, p) for x, p in zip(ahead, profile, strict=True)]
     return scale * (np.array(found) - height.astype(np.float64)) + run.tool.radius
 
 

@@ -108,7 +108,7 @@ class SoilField:
             frames.scalars[:, 0, columns[n]] for n in ('along_0', 'speed', 'ahead', 'behind')
         )
         surface = frames.bins[..., sweep.SURFACE]
-        places = sweep.GRID.offsets - tip[:, None]
+        places = sweep.OFFSETS - tip[:, None]
         here = np.abs(places)[:, None] < HERE
         near = np.abs(places)[:, None] < NEAR
         under = surface.mean(axis=1, keepdims=True)
@@ -159,7 +159,7 @@ class SoilField:
         frame, columns = passage.frame, self.networks.scalars
         tip, half = (float(frame.scalars[0, 0, columns[n]]) for n in ('tip', 'half_width'))
         surface = frame.bins[0, passage.strips.under, :, sweep.SURFACE]
-        near = np.abs(sweep.GRID.offsets - tip) < network.UNDER_ALONG[-1]
+        near = np.abs(sweep.OFFSETS - tip) < network.UNDER_ALONG[-1]
         clearance = float(self._lowest_part(frame)[0]) - float(surface[:, near].max())
         if clearance <= network.ABOVE:
             return 1.0

@@ -95,15 +95,13 @@ class SoilNetworks(tf.Module):
       members: M networks of each.
       seed: of their first weights.
       hidden: layers of each network.
-      grid: bins.
     """
 
-    def __init__(self, tool, members: int, seed: int, hidden=None, grid=sweep.GRID):
+    def __init__(self, tool, members: int, seed: int, hidden=None):
         super().__init__(name='soil_field')
         hidden = HIDDEN if hidden is None else hidden
-        self.tool, self.members, self.hidden, self._grid = tool, members, hidden, grid
+        self.tool, self.members, self.hidden = tool, members, hidden
         self.scalars = {n: i for i, n in enumerate(names_of(tool))}
-        self._first, self._spacing = float(grid.offsets[0]), grid.spacing
         t = self.tables = TABLES[tool.name]
         self.sizes = {
             'load': [len(t.load) + len(t.side), *hidden['load'], 5],
@@ -120,9 +118,8 @@ class SoilNetworks(tf.Module):
         """Functions for frames of a number of strips and some members (None: all), compiled where
         they are first called."""
         spec, partial = tf.TensorSpec, functools.partial
-        n = len(self._grid.offsets)
         frame = [
-            spec([None, n_strips, n, len(sweep.CHANNELS)]),
+            spec([None, n_strips, len(sweep.OFFSETS), len(sweep.CHANNELS)]),
             spec([None, n_strips, len(self.scalars)]),
         ]
         pair = spec([None, None], tf.int32), spec([None, None])
@@ -150,7 +147,7 @@ class SoilNetworks(tf.Module):
         seen = tf.stack([bins[..., sweep.CHANNELS.index(c)] for c in names], axis=-1)
         flat = tf.reshape(seen, [tf.shape(bins)[0], rows * n, len(names)])
         last = tf.cast(n - 1, tf.float32)
-        along = tf.clip_by_value((place - self._first) / self._spacing, 0.0, last)
+        along = tf.clip_by_value((place - float(sweep.OFFSETS[0])) / sweep.SPACING, 0.0, last)
         low = tf.minimum(tf.floor(along), last - 1.0)
         a, k = (along - low)[..., None], tf.cast(low, tf.int32)
 

@@ -118,7 +118,7 @@ def episode_of(run: Run, start: int = 0, whole: Episode | None = None) -> Episod
     while True:
         passage = walk.passage
         frames.append(passage.frame)
-        ways.append(passage.state.way[0])
+        ways.append(passage.state.way)
         t = walk.frame_number
         if not t % run.stride:
             cells, places, before = passage.surroundings()
@@ -202,7 +202,7 @@ def soil_part(networks, run: Run, rng) -> Part:
     rows: list = []
     for start in starts_of(run):
         walk = Walk(run, start, set_down=start == 0)
-        passage, origin = walk.passage, walk.passage.state.origin[0]
+        passage, origin = walk.passage, walk.passage.state.origin
         local = passage.place.local(run.particles[:, :]) / passage.scale  # type: ignore[index]
         rest = local[start // run.stride]
         reach = run.tool.width / passage.scale / 2 + strips_lib.BESIDE
@@ -210,7 +210,7 @@ def soil_part(networks, run: Run, rng) -> Part:
         while walk.frame_number + 1 < len(run.pose):
             walk.go_on()
             t = walk.frame_number
-            if passage.state.origin[0] != origin:
+            if passage.state.origin != origin:
                 break
             if t % (2 * run.stride):
                 continue

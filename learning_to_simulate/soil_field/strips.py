@@ -59,9 +59,9 @@ def strips_of(tool: Tool, even: bool = False) -> Strips:
 
 
 def heights(terrain: Terrain, place: Place, scale: float, strips: Strips, u) -> np.ndarray:
-    """Heights [J, k] of strips at places u [J, k] along the way, on its graded ground, all in m of
-    the field, from a terrain in m of the world."""
+    """Heights [J, k] of strips at places u [k] along the way, on its graded ground, all in m of the
+    field, from a terrain in m of the world."""
     across = strips.centres[:, None] + strips.widths[:, None] * ACROSS
-    along, over = scale * place.cosine * np.asarray(u)[..., None], scale * across[:, None, :]
+    along, over = scale * place.cosine * np.asarray(u)[:, None], scale * across[:, None, :]
     x, z = (place.origin[i] + place.along[i] * along + place.across[i] * over for i in (0, 2))
     return terrain.at(x, z).mean(axis=-1) / scale

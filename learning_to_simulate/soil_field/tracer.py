@@ -35,7 +35,7 @@ class Tracer:
         self._anchored = self._engine.anchor(self._pose)
         scale, place = self._tool.scale, self._anchored.place
         reach = self._tool.width / 2 + scale * strips_lib.BESIDE
-        low, high = (scale * v for v in (-sweep.WINDOW, sweep.WINDOW + sweep.GRID.on))
+        low, high = (scale * v for v in (-sweep.WINDOW, sweep.WINDOW + sweep.ON))
 
         def is_near(points):  # the tool stands at the origin of the place
             local = place.local(points)

@@ -37,7 +37,7 @@ def test_targets_are_what_the_run_shows():
     whole = samples.episode_of(run)
     passage = whole.passage
     t, places, rise = whole.risen[7]
-    cells = np.stack([-(places[:, 0] + passage.state.origin[0]), -places[:, 1]], axis=1)
+    cells = np.stack([-(places[:, 0] + passage.state.origin), -places[:, 1]], axis=1)
     index = np.rint((cells - worlds.CORNER) / worlds.CELL - 0.5).astype(int)
     now = run.heights[t // run.stride][index[:, 0], index[:, 1]]
     np.testing.assert_allclose(rise, now, atol=1e-12)  # the bed was level, at 0
@@ -69,7 +69,7 @@ def test_an_episode_from_the_middle_of_a_run():
     assert whole.settled.all() and len(part.frames.scalars) == len(run.pose) - 24
     np.testing.assert_array_equal(part.loads, whole.loads[24:])
     t, places, rise = part.risen[-1]
-    cells = np.stack([-(places[:, 0] + part.passage.state.origin[0]), -places[:, 1]], axis=1)
+    cells = np.stack([-(places[:, 0] + part.passage.state.origin), -places[:, 1]], axis=1)
     cells = cells + part.passage.place.origin[[0, 2]]
     index = np.rint((cells - worlds.CORNER) / worlds.CELL - 0.5).astype(int)
     risen = (run.heights[(24 + t) // run.stride] - run.heights[6])[index[:, 0], index[:, 1]]

@@ -34,7 +34,7 @@ def test_one_strip_is_as_wide_as_its_tool(tool, even):
 def test_heights_are_means_over_the_width(tool):
     terrain, found, scale = scenes.hills(), strips.strips_of(tool), tool.scale
     u = np.linspace(-0.4, 0.4, 9) / scale
-    read = strips.heights(terrain, PLACE, scale, found, np.broadcast_to(u, (11, 9)))
+    read = strips.heights(terrain, PLACE, scale, found, u)
     share = (np.arange(400) + 0.5) / 400 - 0.5
     for j in range(11):
         across = scale * (found.centres[j] + found.widths[j] * share)
