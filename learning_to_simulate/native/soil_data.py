@@ -12,7 +12,7 @@ from learning_to_simulate.soil_field import (
     inputs,
     network,
     passage,
-    strips,
+    place,
     sweep,
     terrain,
     tools,
@@ -43,7 +43,7 @@ _CONSTANTS = {
         'AHEAD', 'EVEN', 'MAX_STEP', 'SET_DOWN', 'FACTOR', 'FLAT', 'STEEP', 'RELAID',
         'EVEN_SLOPE', 'UNDER', 'CROSSED',
     ),
-    strips: ('N_BESIDE', 'BESIDE_WIDTH', 'ACROSS', 'BESIDE'),
+    place: ('N_BESIDE', 'BESIDE_WIDTH', 'ACROSS', 'BESIDE'),
     sweep: (
         'SPACING', 'BACK', 'ON', 'CHUNK', 'WINDOW', 'FORGET', 'MEMORIES', 'TOUCH', 'REACH', 'RISE',
     ),

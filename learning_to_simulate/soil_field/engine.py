@@ -120,7 +120,7 @@ class TfEngine:
             self._passage = None
 
     def start(self, pose) -> SoilFrame:
-        """See `SoilStepper`; so are `propose`, `load`, `step` and `anchor`. What terrains ask for:
+        """See `SoilStepper`; so are `propose`, `load` and `step`. What terrains ask for:
         `Terrain.add_work`."""
         pose = unit_pose(pose)
         refuse_floor(pose, self._tool, self._terrain)
@@ -239,12 +239,14 @@ class TfEngine:
         return other
 
     def anchor(self, pose, set_down: bool = False) -> 'TfAnchor':
+        """From where particles are followed, of the tool at a pose [7]; `set_down` from above, else
+        it stands in soil that it has not moved."""
         return TfAnchor(self._field, self._terrain, self._tool, pose, self._members, set_down)
 
 
 class TfAnchor:
     """A passage that leaves the terrain alone; how far particles have moved since it began at a
-    pose [7]. Arguments of `SoilStepper` and `SoilStepper.anchor`."""
+    pose [7]. Arguments of `SoilStepper` and `TfEngine.anchor`."""
 
     def __init__(self, field, terrain, tool, pose, members, set_down):
         self._field, self._members = field, members

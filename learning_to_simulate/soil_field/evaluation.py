@@ -37,7 +37,7 @@ from learning_to_simulate.rollout_status import Judgement, RolloutStatus
 from learning_to_simulate.soil_field import samples, sweep
 from learning_to_simulate.soil_field.loaded import COORDINATES, LoadedTool
 from learning_to_simulate.soil_field.place import place_of
-from learning_to_simulate.soil_field.rollout import Followed, TerrainRollout, roll_out
+from learning_to_simulate.soil_field.rollout import TerrainRollout, roll_out
 from learning_to_simulate.soil_field.runs import Machine, Run
 from learning_to_simulate.soil_field.stepper import SoilStepper
 from learning_to_simulate.soil_field.tools import Blade
@@ -71,14 +71,10 @@ class SoilEvaluator:
             raise ValueError(f'run {run.case} does not record what moved its tool')
         terrain, name = run.before(), f'rollout_{run.case}'
         stepper = SoilStepper(self._field, terrain, run.tool, self._members)
-        followed = None
-        if run.particles is not None:
-            followed = Followed(stepper, run.pose[0], run.particles[0])
+        given = None if run.particles is None else run.particles[0]
         step = _loaded(stepper, run, run.machine) if under_load and run.machine else None
         try:
-            return roll_out(
-                stepper, run.pose, run.dt, run.stride, step, followed, run=run, name=name
-            )
+            return roll_out(stepper, run.pose, run.dt, run.stride, step, given, run=run, name=name)
         except ValueError as error:
             return _refused(run, name, str(error))
 

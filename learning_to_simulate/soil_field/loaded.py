@@ -20,6 +20,7 @@ a tool that something else holds: s falls from 1 to 0 where springs and dampers 
 a share `HELD` of that stiffness and damping. At the floor of the terrain a tool rests.
 """
 
+import functools
 import math
 from collections.abc import Callable
 
@@ -132,7 +133,7 @@ class LoadedTool:
         last = self._coordinates(stepper.frame.pose)
         target = self._coordinates(np.asarray(pose, np.float64))
         gravity = stepper.terrain.soil.gravity
-        given = np.append(place.axes[:2] @ np.asarray(force, np.float64), torque)
+        given = np.append(place.axes[:2] @ force, torque)
         given[1] -= self._mass[0] * gravity
         stiffness, damping = self._springs
         coming = target.copy()
@@ -146,8 +147,9 @@ class LoadedTool:
             return self._damping.force(frame.force[1], (height - last[1]) / dt)
 
         def residual(axis, value):
-            there = coming.copy()
-            there[axis] = value
+            """What does not balance at a value, over a floor that gives hardly way."""
+            there, below = coming.copy(), min(value - lowest[axis], 0.0)
+            there[axis] = value = max(value, lowest[axis])
             try:
                 frame = stepper.propose(self._pose(pose, there, target), dt)
             except ValueError as error:
@@ -157,19 +159,14 @@ class LoadedTool:
             rate = (value - last[axis]) / dt
             pull = stiffness[axis] * (target[axis] - value) - damping[axis] * rate
             inertia = self._mass[axis] * (rate - self.velocity[axis]) / dt
-            return inertia - soil[axis] - given[axis] - pull
-
-        def over_floor(axis, value):
-            """The same, over a floor that gives hardly way."""
-            below = min(value - lowest[axis], 0.0)
-            return residual(axis, max(value, lowest[axis])) + FLOOR * below
+            return inertia - soil[axis] - given[axis] - pull + FLOOR * below
 
         for _ in range(SWEEPS if len(self._free) > 1 else 1):
             before = coming.copy()
             for axis in self._free:
                 found = root(
-                    lambda value, axis=axis: over_floor(axis, value),
-                    max(coming[axis], lowest[axis]), WIDTH[axis], TOLERANCE[axis],
+                    functools.partial(residual, axis), max(coming[axis], lowest[axis]),
+                    WIDTH[axis], TOLERANCE[axis],
                 )  # fmt: skip
                 coming[axis] = max(found, lowest[axis])
             if (np.abs(coming - before) <= TOLERANCE).all():

@@ -5,9 +5,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from learning_to_simulate.soil_field import strips as strips_lib
 from learning_to_simulate.soil_field import sweep
-from learning_to_simulate.soil_field.place import Place, checked_pose, place_of
+from learning_to_simulate.soil_field.place import BESIDE, Place, checked_pose, place_of, strips_of
 from learning_to_simulate.soil_field.terrain import Terrain
 from learning_to_simulate.soil_field.tools import STANDARD_GRAVITY, Tool
 from learning_to_simulate.swept import check_time
@@ -84,12 +83,12 @@ class Passage:
         self._radius = max(tool.radius / self.scale, sweep.SPACING / 2)
         # Whether to look if the terrain goes on being even.
         self._looks = tool.columns > 1 and self._is_even(self._pose[0] + sweep.OFFSETS)
-        self.strips = strips_lib.strips_of(tool, self._looks)
+        self.strips = strips_of(tool, self._looks)
         if place is None and lays:
             self.place = self._ground(self._read(self._pose[0] + sweep.OFFSETS), self._pose[0])
             self._pose = self.seen(pose)
             if self._looks and not self._is_even(self._pose[0] + sweep.OFFSETS):
-                self._looks, self.strips = False, strips_lib.strips_of(tool)
+                self._looks, self.strips = False, strips_of(tool)
         self.state = sweep.start(self._pose, self._read)
         self.level = float(self.state.surface.mean())
         if set_down:
@@ -208,8 +207,8 @@ class Passage:
 
     def _is_even(self, u):
         """Whether all strips are equal at places u [k]."""
-        strips = strips_lib.strips_of(self.tool)
-        read = strips_lib.heights(self.terrain, self.place, self.scale, strips, u)
+        strips = strips_of(self.tool)
+        read = strips.heights(self.terrain, self.place, self.scale, u)
         return bool(self.place.cosine * np.ptp(read, axis=0).max(initial=0.0) <= EVEN)
 
     def _look_ahead(self, origin):
@@ -220,11 +219,11 @@ class Passage:
             self._take_all()
 
     def _take_all(self):
-        self._looks, self.strips = False, strips_lib.strips_of(self.tool)
+        self._looks, self.strips = False, strips_of(self.tool)
         self.state = self.state.repeated(len(self.strips.centres))
 
     def _read(self, u):
-        read = strips_lib.heights(self.terrain, self.place, self.scale, self.strips, u)
+        read = self.strips.heights(self.terrain, self.place, self.scale, u)
         ground, c = self.place.height / self.scale, self.place.cosine
         return ground + c * (read - ground - self.place.grade * c * u)
 
@@ -309,9 +308,9 @@ class Passage:
         box = np.zeros((np.ptp(i) + 3, np.ptp(k) + 3))
         box[i - i.min() + 1, k - k.min() + 1] = change[changed]
         first = t.corner + t.cell * [i.min() - 1, k.min() - 1]
-        across = strips_lib.strips_of(self.tool)
+        across = strips_of(self.tool)
         bins = self.state.origin + sweep.OFFSETS
-        read = strips_lib.heights(Terrain(box, t.cell, first), self.place, self.scale, across, bins)
+        read = across.heights(Terrain(box, t.cell, first), self.place, self.scale, bins)
         read *= self.place.cosine
         if self._looks and np.ptp(read, axis=0).max() > EVEN:
             self._take_all()
@@ -346,7 +345,7 @@ class Passage:
     def _corners(self, low, high):
         """x and z [4, 2] (m) of the corners of what lies between places low and high along the way
         and near enough across (m of the field)."""
-        reach = self.tool.width / self.scale / 2 + strips_lib.BESIDE
+        reach = self.tool.width / self.scale / 2 + BESIDE
         ends = [[u * self.place.cosine, 0.0, z] for u in (low, high) for z in (-reach, reach)]
         ends = np.array(ends)
         return self.place.world(self.scale * ends)[:, [0, 2]]
@@ -369,7 +368,7 @@ class Passage:
     def _within(self, low, high):
         """Ascending numbers of the cells between places low and high along the way (m of the
         field) and near enough across, u and distance across of their middles."""
-        reach = self.tool.width / self.scale / 2 + strips_lib.BESIDE
+        reach = self.tool.width / self.scale / 2 + BESIDE
         t, found = self.terrain, self._corners(low, high)
         first = np.floor((found.min(axis=0) - t.corner) / t.cell).astype(int)
         last = np.ceil((found.max(axis=0) - t.corner) / t.cell).astype(int)

@@ -256,7 +256,7 @@ def test_particles(ground):
     np.testing.assert_array_equal(c.clone().particles(), c.particles())
     ends = []
     for one in pair:  # given ones, from before the tool is set down
-        anchor = one.anchor(way[0], set_down=True)
+        anchor = one._engine.anchor(way[0], set_down=True)
         anchor.follow(way[3], DT)
         ends.append(anchor.displaced(first.astype(float)))
     np.testing.assert_allclose(*ends, atol=2e-6)

@@ -24,10 +24,10 @@ def test_loads_are_in_the_axes_and_units_of_the_field():
 def test_drawn_places_stand_for_all():
     rng = np.random.default_rng(0)
     moves = np.arange(1000) < 130
-    chosen, stands = samples._drawn(rng, moves, 48)
+    chosen, stands = samples._drawn(rng, moves)
     assert len(set(chosen)) == 48 and moves[chosen].sum() == 24
     assert stands[moves[chosen]].sum() == pytest.approx(130) and stands.sum() == pytest.approx(1000)
-    few, stands = samples._drawn(rng, np.arange(1000) < 3, 48)
+    few, stands = samples._drawn(rng, np.arange(1000) < 3)
     assert stands.sum() == pytest.approx(1000) and np.isin([0, 1, 2], few).all()
 
 
