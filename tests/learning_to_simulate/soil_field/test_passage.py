@@ -37,9 +37,11 @@ def trench(passage, places):
     return np.where(np.abs(places[:, 1]) < half, cut, 0.0)
 
 
-def level(size=(4.0, 1.6), height=0.0, **more):
-    """It reaches from x = -3 to 1, and the middle is at z = 0."""
-    return Terrain.flat(size, height, corner=(-3.0, -size[1] / 2), **more)
+def level(size=(4.0, 1.6), grade=0.0, **more):
+    """It reaches from x = -3 to 1, the middle is at z = 0, and it rises along the way, to -x."""
+    made = Terrain.flat(size, corner=(-3.0, -size[1] / 2), **more)
+    made.heights[:] = -grade * made.middles[0][:, None]
+    return made
 
 
 def test_on_a_long_way_a_passage_is_renewed_where_new_soil_is_cut():
@@ -95,8 +97,7 @@ def test_an_even_slope_is_seen_as_level_ground(tool, grade):
     c, s = np.cos(angle), np.sin(angle)
     u, y, lean = path.T
     path = np.stack([c * u - s * y, s * u + c * y, lean + angle], axis=1)
-    slope = level()
-    slope.heights[:] = -grade * slope.middles[0][:, None]  # the way goes to -x
+    slope = level(grade=grade)
     there, others = walk(slope, tool, poses(path), rise=trench)
     scenes.assert_frames(others, frames)
     assert there.place.grade == pytest.approx(grade) and here.place.grade == 0
@@ -114,8 +115,7 @@ def test_an_even_slope_is_seen_as_level_ground(tool, grade):
 
 
 def test_a_tool_that_is_set_down_uphill_has_not_turned_back():
-    slope, tool = level(), TOOLS['blade']
-    slope.heights[:] = -0.26 * slope.middles[0][:, None]
+    slope, tool = level(grade=0.26), TOOLS['blade']
     path = [[0.0, y, 0.2] for y in np.arange(0.3, -0.04, -0.02)]
     passage, _ = walk(slope, tool, poses(path), rise=trench)
     assert passage.place.grade and sweep.all_cut(passage.state).any()
@@ -139,9 +139,7 @@ def test_what_is_remembered_is_seen_from_a_new_ground():
 
 
 def test_ground_that_is_too_steep_as_a_whole_is_said():
-    slope = level()
-    slope.heights[:] = -0.25 * slope.middles[0][:, None]
-    passage = Passage(slope, TOOLS['blade'], poses([[0.0, 0.1, 0.0]])[0])
+    passage = Passage(level(grade=0.25), TOOLS['blade'], poses([[0.0, 0.1, 0.0]])[0])
     assert passage.place.grade == pytest.approx(0.25) and abs(passage.slope) < 1e-9
     more = 0.05 * (passage.state.origin + sweep.OFFSETS)
     passage.state = passage.state._replace(surface=passage.state.surface + more)
@@ -150,9 +148,8 @@ def test_ground_that_is_too_steep_as_a_whole_is_said():
 
 @pytest.mark.parametrize('grade, bump', [(0.009, 0.0), (0.3, 0.0), (0.15, 0.03)])
 def test_a_slope_that_is_flat_steep_or_uneven_is_not_seen_as_level(grade, bump):
-    slope = level()
-    x = slope.middles[0][:, None]
-    slope.heights[:] = -grade * x + bump * np.exp(-((x + 0.3) ** 2) / 0.01)
+    slope = level(grade=grade)
+    slope.heights[:] += bump * np.exp(-((slope.middles[0][:, None] + 0.3) ** 2) / 0.01)
     passage = Passage(slope, TOOLS['blade'], poses([[0.0, 0.1, 0.0]])[0])
     assert passage.place.grade == passage.place.height == 0.0
     assert passage.slope == pytest.approx(grade, abs=0.03)
