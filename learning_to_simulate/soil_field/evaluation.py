@@ -1,22 +1,11 @@
 """Closed-loop rollouts of a soil field over recorded runs, and how far they are from the truth.
 
 Each run begins on its bed as it was before the tool stood on it; from then on the terrain is what
-the model makes of it. Errors are those of frames H on, as of all methods, and of
-
-  surface       heights of the map, root mean square over cells and frames, mm: of all cells, and
-                of those within `NEAR` of where the tool was in the soil
-  soil          places of the solver's own particles, root mean square over frames, particles and
-                axes, mm (`soil_truth`)
-  front         how far ahead of the tool soil stands `RISEN` higher than before (mean over the
-                tool's width; 0 where it does not), root mean square over frames, mm
-  cut, heap     litres below and above the terrain as it was, at the end; `net` is what is missing:
-                heap minus cut, against that of the truth (soil may loosen or pack)
-  loads         `metrics.load_errors` along, up and across the way
-
-Bounds are calibrated on runs of valid (`bounds_of`) and judged on all: `bound_kept`, the share of
-frames inside of training whose force keeps its bound, and `near_95_mm`, below which the error of
-the map near the tool is in 95 % of these frames, mm of the field, where the model has not moved it;
-where it has moved it by m (root mean squares over cells), (1 + m / 1 mm) times that.
+the model makes of it. Errors are those of frames H on, as of all methods; docs/soil_field.md says
+what each is. Bounds are calibrated on runs of valid (`bounds_of`) and judged on all: `bound_kept`,
+the share of frames inside of training whose force keeps its bound, and `near_95_mm`, below which
+the error of the map near the tool is in 95 % of these frames, mm of the field, where the model has
+not moved it; where it has moved it by m (root mean squares over cells), (1 + m / 1 mm) times that.
 
 Beside the model stand persistence; the model under the load that moved the tool, where that was
 recorded (`runs.Machine`; free coordinates are predicted then); and a formula of the literature for

@@ -149,12 +149,8 @@ class SoilField:
         return height - radius + np.minimum(length * np.cos(lean), 0.0)
 
     def contact(self, passage: Passage, members: int | None = None) -> float:
-        """Share of the load that acts on the tool of a passage. kappa of the load knows how high a
-        heap can be; this asks how high soil stands: with s_max the highest terrain before the tool
-        came and r the farthest that it has risen under it,
-
-          clip((ABOVE + RAMP - (lowest part - s_max - max(r, 0))) / RAMP, 0, 1)                (22)
-        """
+        """Share of the load that acts on the tool of a passage, (22). kappa of the load knows how
+        high a heap can be; this asks how high soil stands."""
         frame, columns = passage.frame, self.networks.scalars
         tip, half = (float(frame.scalars[0, 0, columns[n]]) for n in ('tip', 'half_width'))
         surface = frame.bins[0, passage.strips.under, :, sweep.SURFACE]
