@@ -66,12 +66,11 @@ def of_runs(scores, kinds=None) -> float:
 
 
 def _of_kind(scores):
-    ordered, below = sorted(scores), 0.0
-    n = len(ordered)
-    conformal = min(int(np.ceil(RUNS_WITHIN * (n + 1))), n)
-    for k in range(1, n + 1):
-        below += math.comb(n, k - 1) * RUNS_WITHIN ** (k - 1) * (1 - RUNS_WITHIN) ** (n - k + 1)
-        if below >= SURE and k >= conformal:
+    from scipy import stats  # a live step does not load it
+
+    ordered, n = sorted(scores), len(scores)
+    for k in range(min(math.ceil(RUNS_WITHIN * (n + 1)), n), n):
+        if stats.binom.cdf(k - 1, n, RUNS_WITHIN) >= SURE:
             return ordered[k - 1]
     return ordered[-1]
 

@@ -149,11 +149,11 @@ def _cut(grid, state, position, dt):
 def after_step(state, height, tip, length) -> dict[str, np.ndarray]:
     """Fields of a state, of `SweptBed` and of `soil_field.sweep.Sweep`, that a step changes: (2),
     (5). Of the state before the step; height [B, n] of `underside`, m; tip and length [B], u at
-    which the step ends and its length, m."""
+    which the step ends and its length, m; of a `Sweep`, whose strips go one way, B is 1."""
     passed, travelled = height < state.surface, state.travelled + length
     return {
         'profile': np.minimum(state.profile, height),
-        'last': np.where(passed, travelled[:, None], state.last),
+        'last': np.where(passed, travelled[..., None], state.last),
         'travelled': travelled,
         'foremost': np.where(passed.any(axis=1), np.maximum(state.foremost, tip), state.foremost),
     }

@@ -77,7 +77,6 @@ def field_jobs(folder: str, data_path: str) -> tuple[dict, dict]:
     and name -> mean errors, of those with fewer members than all."""
     from learning_to_simulate.native.engines import TENSORFLOW, C
     from learning_to_simulate.soil_field import evaluation, method
-    from learning_to_simulate.soil_field.rollout import Followed
     from learning_to_simulate.soil_field.stepper import SoilStepper
 
     opened = method.open_model(folder, data_path, 'test')
@@ -88,19 +87,13 @@ def field_jobs(folder: str, data_path: str) -> tuple[dict, dict]:
 
     def steps(members, engine, has_particles):
         stepper = SoilStepper(field, run.before(), run.tool, members, engine)
-        followed = Followed(stepper, path[0], points) if has_particles else None
-        stepper.start(path[0])
-        seconds, place = [], stepper.place
+        stepper.start(path[0], points if has_particles else None)
+        seconds = []
         for pose in path[1:]:
             begun = time.perf_counter()
             stepper.step(pose, run.dt)
-            if followed is not None:
-                if stepper.place.origin is place.origin:
-                    followed.step(pose, run.dt)
-                else:
-                    followed.begin(pose)
-                    place = stepper.place
-                followed.points()
+            if has_particles:
+                stepper.particles()
             seconds.append(time.perf_counter() - begun)
         return seconds
 

@@ -12,7 +12,7 @@ from learning_to_simulate.soil_field import (
     inputs,
     network,
     passage,
-    strips,
+    place,
     sweep,
     terrain,
     tools,
@@ -43,8 +43,10 @@ _CONSTANTS = {
         'AHEAD', 'EVEN', 'MAX_STEP', 'SET_DOWN', 'FACTOR', 'FLAT', 'STEEP', 'RELAID',
         'EVEN_SLOPE', 'UNDER', 'CROSSED',
     ),
-    strips: ('N_BESIDE', 'BESIDE_WIDTH', 'ACROSS', 'BESIDE'),
-    sweep: ('WINDOW', 'FORGET', 'MEMORIES', 'TOUCH', 'REACH', 'RISE'),
+    place: ('N_BESIDE', 'BESIDE_WIDTH', 'ACROSS', 'BESIDE'),
+    sweep: (
+        'SPACING', 'BACK', 'ON', 'CHUNK', 'WINDOW', 'FORGET', 'MEMORIES', 'TOUCH', 'REACH', 'RISE',
+    ),
     terrain: ('SLIDES', 'SLOPE_TOLERANCE'),
     tools: ('BUCKET_EDGE', 'FLOOR_ANGLE', 'FLOOR_SHARE', 'STANDARD_DENSITY', 'STANDARD_GRAVITY'),
 }  # fmt: skip
@@ -53,7 +55,7 @@ _CONSTANTS = {
 def values(field) -> dict:
     """The fields of `lts_soil_model` of a `SoilField`; ValueError for one that the C code cannot
     run."""
-    networks, c, grid = field.networks, library.constants(), sweep.GRID
+    networks, c = field.networks, library.constants()
     tool, limits, tabled = networks.tool, field.limits, networks.tables
     if not all(networks.hidden.values()):
         raise ValueError('a soil field whose networks have no hidden layers has no C form')
@@ -72,12 +74,8 @@ def values(field) -> dict:
         'kind': kind,
         'n_member': networks.members,
         'judged_names': ','.join(limits.names),
-        'n_bin': len(grid.offsets),
-        'n_behind': int(np.argmin(np.abs(grid.offsets))),
-        'chunk': grid.chunk,
-        'spacing': grid.spacing,
-        'back': grid.back,
-        'on': grid.on,
+        'n_bin': len(sweep.OFFSETS),
+        'n_behind': int(np.argmin(np.abs(sweep.OFFSETS))),
         'n_column': tool.columns,
         'taught_widths': tools.Blade.taught_widths,
         'rim': tools.Wheel.RIM,
@@ -93,7 +91,7 @@ def values(field) -> dict:
         'radius': scalars.index('radius'),
         'n_around': len(network.AROUND_TOOL),
         'see_reach': max(soil_field.NEAR, _farthest(tabled.load, tabled.side), *network.AROUND_TOOL)
-        + 2 * grid.spacing,
+        + 2 * sweep.SPACING,
         'around': np.pad(network.AROUND_TOOL, (0, c['LTS_SOIL_AROUND'] - len(network.AROUND_TOOL))),
         'full_width': network.WIDTH[tool.name],
         'across_ramp': network.ACROSS,

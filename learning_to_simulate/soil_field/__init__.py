@@ -1,7 +1,7 @@
 """The soil field: a tool anywhere on a terrain, from what it has swept.
 
-place, terrain: where a tool works, and on what.
-tools, strips, sweep, passage: a tool, what lies under and beside it, what it has swept.
+tools, terrain, place: a tool, what it works on, and where: what lies under it and beside it.
+sweep, passage: what it has swept.
 inputs, network: three networks that tell load, surface and particles from that.
 runs, samples, training: what it learns from, and how.
 field: a trained model and its folder.

@@ -120,7 +120,7 @@ class TfEngine:
             self._passage = None
 
     def start(self, pose) -> SoilFrame:
-        """See `SoilStepper`; so are `propose`, `load`, `step` and `anchor`. What terrains ask for:
+        """See `SoilStepper`; so are `propose`, `load` and `step`. What terrains ask for:
         `Terrain.add_work`."""
         pose = unit_pose(pose)
         refuse_floor(pose, self._tool, self._terrain)
@@ -239,12 +239,14 @@ class TfEngine:
         return other
 
     def anchor(self, pose, set_down: bool = False) -> 'TfAnchor':
+        """From where particles are followed, of the tool at a pose [7]; `set_down` from above, else
+        it stands in soil that it has not moved."""
         return TfAnchor(self._field, self._terrain, self._tool, pose, self._members, set_down)
 
 
 class TfAnchor:
     """A passage that leaves the terrain alone; how far particles have moved since it began at a
-    pose [7]. Arguments of `SoilStepper` and `SoilStepper.anchor`."""
+    pose [7]. Arguments of `SoilStepper` and `TfEngine.anchor`."""
 
     def __init__(self, field, terrain, tool, pose, members, set_down):
         self._field, self._members = field, members
@@ -256,7 +258,7 @@ class TfAnchor:
 
     def leaves(self, pose) -> bool:
         """Whether the bins move on where the tool goes to a pose [7]."""
-        origin = self._passage.state.origin[0]
+        origin = self._passage.state.origin
         return sweep.follow(origin, self._passage.seen(pose)[0]) != origin
 
     def follow(self, pose, dt: float) -> None:
@@ -267,7 +269,7 @@ class TfAnchor:
         """float32 [P, 3], m, world: where particles are now that were at rest [P, 3]."""
         passage, points = self._passage, rest.astype(np.float32)
         local = passage.place.laid(passage.place.local(rest)) / passage.scale
-        places = local - [passage.state.origin[0], passage.level, 0.0]
+        places = local - [passage.state.origin, passage.level, 0.0]
         moved = self._field.displacement(passage, places, self._members)
         now = np.flatnonzero(moved.any(axis=1))
         # Those that rest are as they were, to the last bit.

@@ -1,22 +1,11 @@
 """Closed-loop rollouts of a soil field over recorded runs, and how far they are from the truth.
 
 Each run begins on its bed as it was before the tool stood on it; from then on the terrain is what
-the model makes of it. Errors are those of frames H on, as of all methods, and of
-
-  surface       heights of the map, root mean square over cells and frames, mm: of all cells, and
-                of those within `NEAR` of where the tool was in the soil
-  soil          places of the solver's own particles, root mean square over frames, particles and
-                axes, mm (`soil_truth`)
-  front         how far ahead of the tool soil stands `RISEN` higher than before (mean over the
-                tool's width; 0 where it does not), root mean square over frames, mm
-  cut, heap     litres below and above the terrain as it was, at the end; `net` is what is missing:
-                heap minus cut, against that of the truth (soil may loosen or pack)
-  loads         `metrics.load_errors` along, up and across the way
-
-Bounds are calibrated on runs of valid (`bounds_of`) and judged on all: `bound_kept`, the share of
-frames inside of training whose force keeps its bound, and `near_95_mm`, below which the error of
-the map near the tool is in 95 % of these frames, mm of the field, where the model has not moved it;
-where it has moved it by m (root mean squares over cells), (1 + m / 1 mm) times that.
+the model makes of it. Errors are those of frames H on, as of all methods; docs/soil_field.md says
+what each is. Bounds are calibrated on runs of valid (`bounds_of`) and judged on all: `bound_kept`,
+the share of frames inside of training whose force keeps its bound, and `near_95_mm`, below which
+the error of the map near the tool is in 95 % of these frames, mm of the field, where the model has
+not moved it; where it has moved it by m (root mean squares over cells), (1 + m / 1 mm) times that.
 
 Beside the model stand persistence; the model under the load that moved the tool, where that was
 recorded (`runs.Machine`; free coordinates are predicted then); and a formula of the literature for
@@ -37,7 +26,7 @@ from learning_to_simulate.rollout_status import Judgement, RolloutStatus
 from learning_to_simulate.soil_field import samples, sweep
 from learning_to_simulate.soil_field.loaded import COORDINATES, LoadedTool
 from learning_to_simulate.soil_field.place import place_of
-from learning_to_simulate.soil_field.rollout import Followed, TerrainRollout, roll_out
+from learning_to_simulate.soil_field.rollout import TerrainRollout, roll_out
 from learning_to_simulate.soil_field.runs import Machine, Run
 from learning_to_simulate.soil_field.stepper import SoilStepper
 from learning_to_simulate.soil_field.tools import Blade
@@ -71,14 +60,10 @@ class SoilEvaluator:
             raise ValueError(f'run {run.case} does not record what moved its tool')
         terrain, name = run.before(), f'rollout_{run.case}'
         stepper = SoilStepper(self._field, terrain, run.tool, self._members)
-        followed = None
-        if run.particles is not None:
-            followed = Followed(stepper, run.pose[0], run.particles[0])
+        given = None if run.particles is None else run.particles[0]
         step = _loaded(stepper, run, run.machine) if under_load and run.machine else None
         try:
-            return roll_out(
-                stepper, run.pose, run.dt, run.stride, step, followed, run=run, name=name
-            )
+            return roll_out(stepper, run.pose, run.dt, run.stride, step, given, run=run, name=name)
         except ValueError as error:
             return _refused(run, name, str(error))
 
@@ -348,10 +333,10 @@ def edge_depth(run: Run, frames: sweep.Frame) -> np.ndarray:
     """[T] m: how deep the lowest point of a tool lies under the terrain right ahead of it; frames
     of `samples.episode_of`."""
     tip, height = (frames.scalars[:, 0, sweep.SCALARS.index(n)] for n in ('tip', 'height'))
-    scale, grid = run.tool.scale, sweep.GRID
-    ahead = tip.astype(np.float64) + run.tool.radius / scale + grid.spacing
+    scale = run.tool.scale
+    ahead = tip.astype(np.float64) + run.tool.radius / scale + sweep.SPACING
     profile = (frames.bins[..., sweep.SURFACE] - frames.bins[..., sweep.CUT]).mean(axis=1)
-    found = [np.interp(x, grid.offsets, p) for x, p in zip(ahead, profile, strict=True)]
+    found = [np.interp(x, sweep.OFFSETS, p) for x, p in zip(ahead, profile, strict=True)]
     return scale * (np.array(found) - height.astype(np.float64)) + run.tool.radius
 
 

@@ -101,28 +101,27 @@ class SoilField:
         `judged_names`; `conditions` are [T, C] of `CONDITIONS` (None: all as they should be),
         `bears` says whether soil acts on the tool, where that is known, see `contact`."""
         columns = self.networks.scalars
-        tip, height, radius = (
-            frames.scalars[:, 0, columns[n]] for n in ('tip', 'height', 'radius')
-        )
-        along, speed, ahead, behind = (
-            frames.scalars[:, 0, columns[n]] for n in ('along_0', 'speed', 'ahead', 'behind')
-        )
+
+        def first(name):
+            return frames.scalars[:, 0, columns[name]]
+
+        tip = first('tip')
         surface = frames.bins[..., sweep.SURFACE]
-        places = sweep.GRID.offsets - tip[:, None]
+        places = sweep.OFFSETS - tip[:, None]
         here = np.abs(places)[:, None] < HERE
         near = np.abs(places)[:, None] < NEAR
         under = surface.mean(axis=1, keepdims=True)
         level = np.where(here, under, 0.0).sum(axis=(1, 2)) / here.sum(axis=(1, 2))
         found = [
-            level - (height - radius),
+            level - (first('height') - first('radius')),
             np.where(near, surface, np.inf).min(axis=(1, 2)) - level,
             np.where(near, surface, -np.inf).max(axis=(1, 2)) - level,
             np.where(near, np.abs(surface - under), 0.0).max(axis=(1, 2)),
-            AHEAD - ahead.astype(np.float64),
+            AHEAD - first('ahead').astype(np.float64),
             # A tool that falls is faster than any that goes on.
-            np.abs(along.astype(np.float64)) * speed,
+            np.abs(first('along_0').astype(np.float64)) * first('speed'),
             np.maximum(frames.scalars[..., columns['foremost']].max(axis=1) - tip, 0.0),
-            AHEAD - behind.astype(np.float64),
+            AHEAD - first('behind').astype(np.float64),
         ]
         names = self.judged_names[: named(self.networks.tool)]
         own = [frames.scalars[..., columns[n]].max(axis=1) for n in names]
@@ -150,16 +149,12 @@ class SoilField:
         return height - radius + np.minimum(length * np.cos(lean), 0.0)
 
     def contact(self, passage: Passage, members: int | None = None) -> float:
-        """Share of the load that acts on the tool of a passage. kappa of the load knows how high a
-        heap can be; this asks how high soil stands: with s_max the highest terrain before the tool
-        came and r the farthest that it has risen under it,
-
-          clip((ABOVE + RAMP - (lowest part - s_max - max(r, 0))) / RAMP, 0, 1)                (22)
-        """
+        """Share of the load that acts on the tool of a passage, (22). kappa of the load knows how
+        high a heap can be; this asks how high soil stands."""
         frame, columns = passage.frame, self.networks.scalars
         tip, half = (float(frame.scalars[0, 0, columns[n]]) for n in ('tip', 'half_width'))
         surface = frame.bins[0, passage.strips.under, :, sweep.SURFACE]
-        near = np.abs(sweep.GRID.offsets - tip) < network.UNDER_ALONG[-1]
+        near = np.abs(sweep.OFFSETS - tip) < network.UNDER_ALONG[-1]
         clearance = float(self._lowest_part(frame)[0]) - float(surface[:, near].max())
         if clearance <= network.ABOVE:
             return 1.0
@@ -183,14 +178,12 @@ class SoilField:
 
     def rise(self, passage: Passage, places, members: int | None = None) -> np.ndarray:
         """How far the surface has risen [K] at places [K, 2] of a passage, m of the field."""
-        call = self.networks.compiled(len(passage.strips.centres), members).rise
-        frame = map(tf.constant, passage.frame)
-        return call(*frame, *network.placed(passage.strips, places)).numpy().mean(axis=0)[0]
+        return self._of_places('rise', passage, places, members)
 
     def loads(self, frame: sweep.Frame, members: int | None = None) -> np.ndarray:
         """float32 [M, B, 6] of frames, see `SoilNetworks.load_of`. Soil hardly knows time: a tool
         that is faster than any that was taught feels what the fastest did, and is flagged."""
-        call = self.networks.compiled(frame.bins.shape[1], members).loads
+        call = self.networks.compiled('loads', frame.bins.shape[1], members)
         scalars = frame.scalars.copy()
         fastest = np.float32(self.ranges.get('speed', [0.0, np.inf])[1])
         for name in ('speed', *(f'pace_{i}' for i in range(len(sweep.MEMORIES)))):
@@ -201,7 +194,10 @@ class SoilField:
     def displacement(self, passage: Passage, places, members: int | None = None) -> np.ndarray:
         """How far particles have moved [P, 3] since a passage began, along, up, across, from places
         [P, 3] u from the origin, height over the level, across; all in m of the field."""
-        call = self.networks.compiled(len(passage.strips.centres), members).displacement
+        return self._of_places('displacement', passage, places, members)
+
+    def _of_places(self, name, passage, places, members):
+        call = self.networks.compiled(name, len(passage.strips.centres), members)
         frame = map(tf.constant, passage.frame)
         return call(*frame, *network.placed(passage.strips, places)).numpy().mean(axis=0)[0]
 

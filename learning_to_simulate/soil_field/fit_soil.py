@@ -129,12 +129,16 @@ class Rolled:
     def __init__(self, field, dig, progress=iter):
         low, high = np.degrees(np.arctan(field.ranges['friction']))
         self.angles = np.linspace(low, high, max(math.ceil((high - low) / NODE), 2) + 1)
-        self.dig, self.counted = dig, ~np.isnan(dig.force)
-        self.force = np.where(self.counted, dig.force, 0.0)
-        self.size = math.sqrt(np.square(self.force).sum())
         rollouts = [_rolled_out(field, dig, float(angle)) for angle in progress(self.angles)]
         self.forces = np.stack([force for force, _ in rollouts])
         self.judged = [judged for _, judged in rollouts]
+        self.meet(dig)
+
+    def meet(self, dig) -> None:
+        """Holds the forces against those of a dig of the same path."""
+        self.dig, self.counted = dig, ~np.isnan(dig.force)
+        self.force = np.where(self.counted, dig.force, 0.0)
+        self.size = math.sqrt(np.square(self.force).sum())
         felt = np.linalg.norm(self.forces, axis=2).min(axis=0) > 0
         self.in_soil = int((felt & self.counted.any(axis=1)).sum())
         if self.size:

@@ -1,25 +1,19 @@
 """`LoadedTool`: a tool that is free along, up or in its lean, under weight, forces and actuators.
 
 One law holds for pushed and for loaded tools: the force of the soil in the coming frame is a
-function of the coming pose. So the motion of a mass M follows from backward Euler,
+function of the coming pose. So the motion of a mass follows from backward Euler, (18) of
+docs/soil_field.md, solved for one free coordinate after the other until all hold. The soil unloads
+within a millimetre or two, and each residual grows with its own coordinate, so a bracket holds the
+root: a tool rests, stalls and comes back at any step, however light it is.
 
-    M ((q' - q)/dt - v)/dt = F_soil(q') + F_ext + M g + k (q_target - q') - c (q' - q)/dt,   (18)
-
-solved for one free coordinate after the other until all hold. The soil unloads within a millimetre
-or two, and each residual grows with its own coordinate, so a bracket holds the root: a tool rests,
-stalls and comes back at any step, however light it is.
-
-The force F of a field knows hardly any time, so a tool that rests on it would swing. Soil does not
-throw a tool back: with what presses on it, W, it damps what is not slow,
-
-    F_soil = F + D,  D = -2 s sqrt(M W / `UNLOADS`) (v' - u), within +-F up,                  (21)
-
-critically for a stiffness of W over `UNLOADS`, with a velocity u that follows v' within `SLOW`. It
-damps no more than it bears, and what sinks, climbs or descends evenly feels nothing of it. Nor does
-a tool that something else holds: s falls from 1 to 0 where springs and dampers of the machine have
-a share `HELD` of that stiffness and damping. At the floor of the terrain a tool rests.
+The force of a field knows hardly any time, so a tool that rests on it would swing. Soil does not
+throw a tool back: with what presses on it, it damps what is not slow, (21). It damps no more than
+it bears, and what sinks, climbs or descends evenly feels nothing of it. Nor does a tool that
+something else holds: s falls from 1 to 0 where springs and dampers of the machine have a share
+`HELD` of the stiffness and damping of (21). At the floor of the terrain a tool rests.
 """
 
+import functools
 import math
 from collections.abc import Callable
 
@@ -132,7 +126,7 @@ class LoadedTool:
         last = self._coordinates(stepper.frame.pose)
         target = self._coordinates(np.asarray(pose, np.float64))
         gravity = stepper.terrain.soil.gravity
-        given = np.append(place.axes[:2] @ np.asarray(force, np.float64), torque)
+        given = np.append(place.axes[:2] @ force, torque)
         given[1] -= self._mass[0] * gravity
         stiffness, damping = self._springs
         coming = target.copy()
@@ -146,8 +140,9 @@ class LoadedTool:
             return self._damping.force(frame.force[1], (height - last[1]) / dt)
 
         def residual(axis, value):
-            there = coming.copy()
-            there[axis] = value
+            """What does not balance at a value, over a floor that gives hardly way."""
+            there, below = coming.copy(), min(value - lowest[axis], 0.0)
+            there[axis] = value = max(value, lowest[axis])
             try:
                 frame = stepper.propose(self._pose(pose, there, target), dt)
             except ValueError as error:
@@ -157,19 +152,14 @@ class LoadedTool:
             rate = (value - last[axis]) / dt
             pull = stiffness[axis] * (target[axis] - value) - damping[axis] * rate
             inertia = self._mass[axis] * (rate - self.velocity[axis]) / dt
-            return inertia - soil[axis] - given[axis] - pull
-
-        def over_floor(axis, value):
-            """The same, over a floor that gives hardly way."""
-            below = min(value - lowest[axis], 0.0)
-            return residual(axis, max(value, lowest[axis])) + FLOOR * below
+            return inertia - soil[axis] - given[axis] - pull + FLOOR * below
 
         for _ in range(SWEEPS if len(self._free) > 1 else 1):
             before = coming.copy()
             for axis in self._free:
                 found = root(
-                    lambda value, axis=axis: over_floor(axis, value),
-                    max(coming[axis], lowest[axis]), WIDTH[axis], TOLERANCE[axis],
+                    functools.partial(residual, axis), max(coming[axis], lowest[axis]),
+                    WIDTH[axis], TOLERANCE[axis],
                 )  # fmt: skip
                 coming[axis] = max(found, lowest[axis])
             if (np.abs(coming - before) <= TOLERANCE).all():

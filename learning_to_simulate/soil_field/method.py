@@ -25,6 +25,7 @@ from learning_to_simulate.training.loop import StopSignals
 from pca_tools import dataset, files
 from pca_tools.storage import folder_lock
 
+load = field_lib.load
 METRICS, TRAINING = 'metrics.json', 'training.npz'
 # What a model learns from of a dataset.
 _LEARNED = 'metadata.json', 'train.tfrecord', 'heights_train.npz', 'particles_train.npz'
@@ -150,10 +151,6 @@ def one_tool(runs: list[Run], data_path: str) -> str:
 
 def _bar(name):
     return lambda runs: tqdm.tqdm(runs, unit='run', desc=name, disable=None)
-
-
-def load(model_path: str) -> field_lib.SoilField:
-    return field_lib.load(model_path)
 
 
 def open_model(model_path, data_path, split, raw_path=None) -> OpenedModel:

@@ -1,6 +1,6 @@
 """The three networks of a soil field, all members at once, and what they see and say; TensorFlow.
 
-A frame holds J strips with n bins each (`strips`, `sweep`). Contact and load of strips and tool are
+A frame holds J strips with n bins each (`place`, `sweep`). Contact and load of strips and tool are
 (10) to (12) of docs/soil_field.md, what the surface and a particle do (13) to (15).
 
 No load acts in the air, soil far from all that was swept rests to the last bit, and nothing jumps
@@ -8,14 +8,13 @@ where a passage begins.
 """
 
 import functools
-from typing import Any, NamedTuple
 
 import numpy as np
 import tensorflow as tf
 
-from learning_to_simulate.soil_field import strips as strips_lib
 from learning_to_simulate.soil_field import sweep
 from learning_to_simulate.soil_field.inputs import TABLES, column
+from learning_to_simulate.soil_field.place import BESIDE, N_BESIDE, Strips
 
 FORCE, TORQUE = 100.0, 10.0  # N, N m of the field, for a tool of this width, m
 WIDTH = {'blade': 0.4, 'wheel': 0.1}
@@ -35,6 +34,8 @@ BESIDE_RAMP = 0.05
 BELOW, BELOW_RAMP = 0.05, 0.03
 ACROSS = 0.05
 NEIGHBOUR = 0.1  # m across, where a place looks at the terrain beside it
+# Axes of the places that a method of `SoilNetworks` takes.
+PLACE_AXES = {'surface_inputs': 2, 'rise': 2, 'soil_inputs': 3, 'displacement': 3}
 HIDDEN = {'load': (64, 64), 'surface': (64, 64), 'soil': (64, 64, 64)}
 
 
@@ -76,17 +77,6 @@ class Members(tf.Module):
         return values
 
 
-class Compiled(NamedTuple):
-    """Methods of `SoilNetworks` of these names, as functions of tensors."""
-
-    load_inputs: Any
-    surface_inputs: Any
-    soil_inputs: Any
-    loads: Any
-    rise: Any
-    displacement: Any
-
-
 class SoilNetworks(tf.Module):
     """Load, surface and soil.
 
@@ -95,15 +85,13 @@ class SoilNetworks(tf.Module):
       members: M networks of each.
       seed: of their first weights.
       hidden: layers of each network.
-      grid: bins.
     """
 
-    def __init__(self, tool, members: int, seed: int, hidden=None, grid=sweep.GRID):
+    def __init__(self, tool, members: int, seed: int, hidden=None):
         super().__init__(name='soil_field')
         hidden = HIDDEN if hidden is None else hidden
-        self.tool, self.members, self.hidden, self._grid = tool, members, hidden, grid
+        self.tool, self.members, self.hidden = tool, members, hidden
         self.scalars = {n: i for i, n in enumerate(names_of(tool))}
-        self._first, self._spacing = float(grid.offsets[0]), grid.spacing
         t = self.tables = TABLES[tool.name]
         self.sizes = {
             'load': [len(t.load) + len(t.side), *hidden['load'], 5],
@@ -116,32 +104,22 @@ class SoilNetworks(tf.Module):
         )
 
     @functools.cache  # noqa: B019 - networks live as long as their functions
-    def compiled(self, n_strips: int, members: int | None = None) -> 'Compiled':
-        """Functions for frames of a number of strips and some members (None: all), compiled where
-        they are first called."""
-        spec, partial = tf.TensorSpec, functools.partial
-        n = len(self._grid.offsets)
-        frame = [
-            spec([None, n_strips, n, len(sweep.CHANNELS)]),
+    def compiled(self, name: str, n_strips: int, members: int | None = None):
+        """The method of a name as a function of tensors, compiled where it is first called: of
+        frames of a number of strips, where places are asked for also of these and their `looks`;
+        `members` (None: all) of one that answers by members."""
+        spec = tf.TensorSpec
+        signature: list = [
+            spec([None, n_strips, len(sweep.OFFSETS), len(sweep.CHANNELS)]),
             spec([None, n_strips, len(self.scalars)]),
         ]
-        pair = spec([None, None], tf.int32), spec([None, None])
-        pairs = [pair, pair, pair]
-
-        def made(function, *signature):
-            return tf.function(function, input_signature=signature, autograph=False)
-
-        return Compiled(
-            made(self.load_inputs, *frame),
-            made(self.surface_inputs, *frame, spec([None, None, 2]), pairs),
-            made(self.soil_inputs, *frame, spec([None, None, 3]), pairs),
-            made(partial(self.loads, members=members), *frame),
-            made(partial(self.rise, members=members), *frame, spec([None, None, 2]), pairs),
-            made(partial(self.displacement, members=members), *frame, spec([None, None, 3]), pairs),
-        )
-
-    def _scalar(self, scalars, name):
-        return scalars[..., self.scalars[name]]
+        if name in PLACE_AXES:
+            pair = spec([None, None], tf.int32), spec([None, None])
+            signature += [spec([None, None, PLACE_AXES[name]]), [pair, pair, pair]]
+        method = getattr(self, name)
+        if members is not None:
+            method = functools.partial(method, members=members)
+        return tf.function(method, input_signature=signature, autograph=False)
 
     def _at(self, bins, names, strip, share, place):
         """Channels at places [B, P, k] (m from the origin) on strips [B, P] and their next ones by
@@ -150,7 +128,7 @@ class SoilNetworks(tf.Module):
         seen = tf.stack([bins[..., sweep.CHANNELS.index(c)] for c in names], axis=-1)
         flat = tf.reshape(seen, [tf.shape(bins)[0], rows * n, len(names)])
         last = tf.cast(n - 1, tf.float32)
-        along = tf.clip_by_value((place - self._first) / self._spacing, 0.0, last)
+        along = tf.clip_by_value((place - float(sweep.OFFSETS[0])) / sweep.SPACING, 0.0, last)
         low = tf.minimum(tf.floor(along), last - 1.0)
         a, k = (along - low)[..., None], tf.cast(low, tf.int32)
 
@@ -187,17 +165,16 @@ class SoilNetworks(tf.Module):
     def _values(self, scalars):
         return {name: scalars[..., i] for name, i in self.scalars.items()}
 
-    # Load.
-
     def load_inputs(self, bins, scalars):
         """What the load's network sees: own [B, K, I] of the K strips under the tool, sides
         [B, K, 2, I'] with the left and the right neighbour, kappa [B, K]: (10)."""
-        under = strips_lib.N_BESIDE if bins.shape[1] > 1 else 0
+        under = N_BESIDE if bins.shape[1] > 1 else 0
         count = self.tool.columns if bins.shape[1] > 1 else 1
         strips = tf.range(under, under + count)[None] * tf.ones([tf.shape(bins)[0], 1], tf.int32)
         none = tf.zeros_like(strips, tf.float32)
         own = scalars[:, under : under + count]
-        tip, values = self._scalar(own, 'tip'), self._values(own)
+        values = self._values(own)
+        tip = values['tip']
 
         def look_from(j):
             def look(names, offsets):
@@ -259,19 +236,14 @@ class SoilNetworks(tf.Module):
 
     def loads(self, bins, scalars, members=None):
         """`load_of` frames."""
-        width = 2.0 * self._scalar(scalars, 'half_width')[:, 0]
+        width = 2.0 * scalars[:, 0, self.scalars['half_width']]
         return self.load_of(*self.load_inputs(bins, scalars), width, members)
-
-    # Surface and soil.
 
     def _places(self, bins, scalars, places, strips):
         """Inputs [B, P, I] of places and g (13) [B, P], and what particles need beside them."""
         (strip, share), (out, out_share), (into, into_share) = strips
         u, z = places[..., 0], places[..., -1]
-        here = self._at(
-            bins, ['cut', 'surface', 'since', 'area_before', 'influence', 'disturbed', 'struck'],
-            strip, share, u[..., None],
-        )  # fmt: skip
+        here = self._at(bins, sweep.CHANNELS, strip, share, u[..., None])
         here = {name: value[..., 0] for name, value in here.items()}
         low = tf.gather(scalars, strip, batch_dims=1)
         if bins.shape[1] != 1:
@@ -299,7 +271,7 @@ class SoilNetworks(tf.Module):
             tf.stack(beside, axis=-1),
             self._read(self.tables.tool, values, look_at_tool),
         ]
-        across = (values['half_width'] + strips_lib.BESIDE - tf.abs(z)) / BESIDE_RAMP
+        across = (values['half_width'] + BESIDE - tf.abs(z)) / BESIDE_RAMP
         gate = here['influence'] * tf.clip_by_value(values['way'] / STIR, 0.0, 1.0)
         return seen, gate * tf.clip_by_value(across, 0.0, 1.0), values, look
 
@@ -347,14 +319,14 @@ class SoilNetworks(tf.Module):
         return self.displacement_of(*self.soil_inputs(bins, scalars, places, strips), members)
 
 
-def looks(strips: strips_lib.Strips, across):
+def looks(strips: Strips, across):
     """What `rise` and `displacement` take as strips, for distances across [...], m."""
     sign = np.where(np.asarray(across) < 0, -1.0, 1.0)
     pairs = [strips.shares(np.asarray(across) + d * sign) for d in (0.0, NEIGHBOUR, -NEIGHBOUR)]
     return [(j.astype(np.int32), b.astype(np.float32)) for j, b in pairs]
 
 
-def placed(strips: strips_lib.Strips, places):
+def placed(strips: Strips, places):
     """Places [P, ...] of one frame and their `looks`, as tensors of [1, P, ...]."""
     pairs = [(tf.constant(j[None]), tf.constant(b[None])) for j, b in looks(strips, places[:, -1])]
     return tf.constant(places[None].astype(np.float32)), pairs

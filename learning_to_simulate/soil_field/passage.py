@@ -5,9 +5,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from learning_to_simulate.soil_field import strips as strips_lib
 from learning_to_simulate.soil_field import sweep
-from learning_to_simulate.soil_field.place import Place, checked_pose, place_of
+from learning_to_simulate.soil_field.place import BESIDE, Place, checked_pose, place_of, strips_of
 from learning_to_simulate.soil_field.terrain import Terrain
 from learning_to_simulate.soil_field.tools import STANDARD_GRAVITY, Tool
 from learning_to_simulate.swept import check_time
@@ -43,7 +42,7 @@ class Passage:
     because the way is long.
 
     Soil is kept by (19) and (20) of docs/soil_field.md. What a chunk of cells changes in C (19) as
-    it leaves comes in over the next `GRID.chunk` bins of way. A tool that is lifted over the
+    it leaves comes in over the next `sweep.CHUNK` bins of way. A tool that is lifted over the
     terrain before it moves no soil: heights stay as they were when it left.
 
     Args:
@@ -53,15 +52,13 @@ class Passage:
       rise: gives how far the surface has risen [K] since, of this passage and places [K, 2] u from
         the origin and across, all in m of the field; or None.
       set_down: whether the tool comes from above; else it stands in soil that it has not moved.
-      even: whether the terrain counts as level across the way, so that one strip as wide as the
-        tool does; None: as long as it is.
       place: None for that of the pose.
       lays: whether to see even slopes as level.
 
     Attributes:
       place, scale, strips: of the passage; from one strip it goes over to all of them where even
         terrain ends.
-      state: `sweep.Sweep`; one row for each strip.
+      state: `sweep.Sweep`.
       level: height that those of frames count from, m of the field.
       gone: cells that the bins have left in the last step, to be settled.
 
@@ -71,8 +68,7 @@ class Passage:
 
     def __init__(
         self, terrain: Terrain, tool: Tool, pose, rise: Callable | None = None,
-        set_down: bool = True, even: bool | None = None, place: Place | None = None,
-        lays: bool = True,
+        set_down: bool = True, place: Place | None = None, lays: bool = True,
     ):  # fmt: skip
         self.terrain, self.tool, self.scale = terrain, tool, tool.scale
         self._rise = rise
@@ -83,24 +79,23 @@ class Passage:
         self._time = np.sqrt(STANDARD_GRAVITY / terrain.soil.gravity * self.scale)
         self._pose = self.seen(pose)
         self._lays = lays
-        self._looks = False  # whether to look if the terrain goes on being even
-        if even is None and tool.columns > 1:
-            self._looks = even = self._is_even(self._pose[0] + sweep.GRID.offsets)
-        self._take(strips_lib.strips_of(tool, bool(even)))
+        # A sharper edge would fall between the bins.
+        self._radius = max(tool.radius / self.scale, sweep.SPACING / 2)
+        # Whether to look if the terrain goes on being even.
+        self._looks = tool.columns > 1 and self._is_even(self._pose[0] + sweep.OFFSETS)
+        self.strips = strips_of(tool, self._looks)
         if place is None and lays:
-            self.place = self._ground(self._read(self._pose[0] + sweep.GRID.offsets), self._pose[0])
+            self.place = self._ground(self._read(self._pose[0] + sweep.OFFSETS), self._pose[0])
             self._pose = self.seen(pose)
-            if self._looks and not self._is_even(self._pose[0] + sweep.GRID.offsets):
-                self._looks = False
-                self._take(strips_lib.strips_of(tool))
-        first = self._rows(self._pose)
-        self.state = sweep.start(first, self._read)
+            if self._looks and not self._is_even(self._pose[0] + sweep.OFFSETS):
+                self._looks, self.strips = False, strips_of(tool)
+        self.state = sweep.start(self._pose, self._read)
         self.level = float(self.state.surface.mean())
         if set_down:
-            surface, above = self.state.surface, first.copy()
-            above[:, 1] = max(first[0, 1], surface.max() + self._radius[0] + SET_DOWN)
+            surface, above = self.state.surface, self._pose.copy()
+            above[1] = max(above[1], surface.max() + self._radius + SET_DOWN)
             self.state = sweep.start(above, lambda u: surface)
-            self._advance(first, 0.0, 1.0)
+            self._advance(self._pose, 0.0, 1.0)
         # Of cells in sight, by their number: heights before the tool, and as it left them, m.
         self._cells, self._before, self._left = np.zeros(0, np.int64), np.zeros(0), np.zeros(0)
         self._is_stale = False
@@ -124,11 +119,11 @@ class Passage:
 
     def _lifts(self, pose):
         surface = self.state.surface[self.strips.under]
-        is_under = np.abs(self.state.origin[0] + sweep.GRID.offsets - pose[0]) < UNDER
+        is_under = np.abs(self.state.origin + sweep.OFFSETS - pose[0]) < UNDER
         highest = surface[:, is_under].max(initial=surface.mean())
         is_back = pose[0] < self.state.foremost[self.strips.under].max() - BACK
         least = 0.0 if is_back else self.tool.lifted
-        return bool(pose[1] - self._radius[0] > highest + least)
+        return bool(pose[1] - self._radius > highest + least)
 
     @property
     def is_over(self) -> bool:
@@ -140,30 +135,28 @@ class Passage:
         """Whether the way is long, or the ground has another grade, and the tool has just cut
         farther than before."""
         s, under = self.state, self.strips.under
-        is_new = s.foremost[under].max() == s.tip[0]
-        is_other = self._ground(s.surface, s.origin[0], RELAID) is not self.place
-        is_due = s.way[0] > self.tool.renewed_after or is_other
+        is_new = s.foremost[under].max() == s.tip
+        is_other = self._ground(s.surface, s.origin, RELAID) is not self.place
+        is_due = s.way > self.tool.renewed_after or is_other
         return bool(is_due and is_new and not self.is_lifted)
 
     def renewed(self, pose) -> 'Passage':
         """The passage that goes on from its pose [7], on the terrain as it is by now."""
         self.update()
-        place = self._ground(self.state.surface, self.state.origin[0])
+        place = self._ground(self.state.surface, self.state.origin)
         other = Passage(
             self.terrain, self.tool, pose, self._rise, set_down=False, place=place, lays=self._lays
         )
         change = np.arctan(place.grade) - np.arctan(self.place.grade)
-        (along, up), c, s = self.state.memory[0, :, :2].T, np.cos(change), np.sin(change)
-        memory = self.state.memory[0].copy()  # seen from the new ground
+        (along, up), c, s = self.state.memory[:, :2].T, np.cos(change), np.sin(change)
+        memory = self.state.memory.copy()  # seen from the new ground
         memory[:, :2] = np.stack([c * along + s * up, c * up - s * along], axis=1)
-        other.remember(memory, self.state.speed[0])
+        other.remember(memory, self.state.speed)
         other.gone = np.setdiff1d(self._cells, other._cells, assume_unique=True)
         return other
 
     def remember(self, memory, speed) -> None:
         """Takes a memory [K, 4] of (7) and a speed of a tool that has come here."""
-        n = len(self.state.way)
-        memory, speed = np.repeat(memory[None], n, axis=0), np.full(n, float(speed))
         self.state = self.state._replace(memory=memory, speed=speed)
 
     @property
@@ -176,7 +169,7 @@ class Passage:
             return 0.0
         width, cell = self.tool.width / self.scale, self.terrain.cell.max() / self.scale
         fall = self.place.grade * self.place.cosine * self._places[:, 0]  # along the way
-        u, z = (self._places - [self.state.tip[0], 0.0]).T
+        u, z = (self._places - [self.state.tip, 0.0]).T
         weight = np.maximum(1.0 - (2.0 * z / (width + cell)) ** 2, 0.0) ** 2
         weight[np.abs(u) > CROSSED + cell] = 0.0
         total = max(weight.sum(), 1e-12)
@@ -197,12 +190,12 @@ class Passage:
     @property
     def turning(self) -> float:
         """Share of x in what the tool did on the last 30 mm (7): turns of a blade, slip."""
-        return float(self.state.memory[0, -1, 2])
+        return float(self.state.memory[-1, 2])
 
     @property
     def leans(self) -> float:
         """See `Tool.leans`, rad."""
-        return self.tool.leans(float(self.state.pose[0, 2]))
+        return self.tool.leans(float(self.state.pose[2]))
 
     def _ground(self, surface, origin, least=FLAT) -> Place:
         """The place on the ground of a surface [J, n_bin] about an origin, if it slopes by more."""
@@ -214,42 +207,29 @@ class Passage:
 
     def _is_even(self, u):
         """Whether all strips are equal at places u [k]."""
-        strips = strips_lib.strips_of(self.tool)
-        u = np.broadcast_to(u, (len(strips.centres), len(u)))
-        read = strips_lib.heights(self.terrain, self.place, self.scale, strips, u)
+        strips = strips_of(self.tool)
+        read = strips.heights(self.terrain, self.place, self.scale, u)
         return bool(self.place.cosine * np.ptp(read, axis=0).max(initial=0.0) <= EVEN)
-
-    def _take(self, strips):
-        self.strips = strips
-        # A sharper edge would fall between the bins.
-        radius = max(self.tool.radius / self.scale, sweep.GRID.spacing / 2)
-        self._radius = np.full(len(strips.centres), radius)
 
     def _look_ahead(self, origin):
         """Takes all strips from where the bins that come into sight are not even."""
-        low, high = self.state.origin[0] + sweep.GRID.offsets[[0, -1]]
-        coming, half = origin + sweep.GRID.offsets, sweep.GRID.spacing / 2
+        low, high = self._sight()
+        coming, half = origin + sweep.OFFSETS, sweep.SPACING / 2
         if not self._is_even(coming[(coming < low - half) | (coming > high + half)]):
             self._take_all()
 
     def _take_all(self):
-        self._looks = False
-        self._take(strips_lib.strips_of(self.tool))
-        self.state = sweep.Sweep(*(np.repeat(x, len(self._radius), axis=0) for x in self.state))
-
-    def _rows(self, pose):
-        return np.repeat(pose[None], len(self.strips.centres), axis=0)
+        self._looks, self.strips = False, strips_of(self.tool)
+        self.state = self.state.repeated(len(self.strips.centres))
 
     def _read(self, u):
-        u = np.broadcast_to(u, (len(self.strips.centres), np.shape(u)[-1]))
-        read = strips_lib.heights(self.terrain, self.place, self.scale, self.strips, u)
+        read = self.strips.heights(self.terrain, self.place, self.scale, u)
         ground, c = self.place.height / self.scale, self.place.cosine
         return ground + c * (read - ground - self.place.grade * c * u)
 
-    def _advance(self, rows, turn, dt):
-        turn = np.full(len(rows), turn)
+    def _advance(self, pose, turn, dt):
         self.state = sweep.advance(
-            self.state, rows, turn, self._radius, dt, self._read, strikes=self.tool.strikes
+            self.state, pose, turn, self._radius, dt, self._read, self.tool.strikes
         )
 
     def step(self, pose, dt: float) -> None:
@@ -260,7 +240,7 @@ class Passage:
         change = coming - self._pose
         change[2] = (change[2] + np.pi) % (2 * np.pi) - np.pi
         refuse_far(self.scale, change[0])
-        origin, to = self.state.origin[0], sweep.follow(self.state.origin[0], coming[0])
+        origin, to = self.state.origin, sweep.follow(self.state.origin, coming[0])
         lifts = self._lifts(coming)
         if lifts and not self.is_lifted:
             self.update()  # as the tool leaves it
@@ -268,8 +248,8 @@ class Passage:
             self.update()  # the last chance of cells that the bins leave
             if self._looks:
                 self._look_ahead(to)
-            self._owed, self._owed_at = self._owed_now, self.state.travelled[0]
-        self._advance(self._rows(coming), self.tool.turn(change), dt / self._time)
+            self._owed, self._owed_at = self._owed_now, self.state.travelled
+        self._advance(coming, self.tool.turn(change), dt / self._time)
         if self.place.grade and not sweep.all_cut(self.state).any():
             # What is set down straight down on a slope goes back along it: not in the soil.
             foremost = np.minimum(self.state.foremost, self.state.tip)
@@ -287,7 +267,7 @@ class Passage:
     @property
     def _owed_now(self):
         goal = -self._left_behind / (self.tool.width / self.scale) - self._dropped
-        way = (self.state.travelled[0] - self._owed_at) / (sweep.GRID.chunk * sweep.GRID.spacing)
+        way = (self.state.travelled - self._owed_at) / (sweep.CHUNK * sweep.SPACING)
         return self._owed + min(way, 1.0) * (goal - self._owed)
 
     def clone(self, terrain: Terrain, rise: Callable | None = None) -> 'Passage':
@@ -328,14 +308,13 @@ class Passage:
         box = np.zeros((np.ptp(i) + 3, np.ptp(k) + 3))
         box[i - i.min() + 1, k - k.min() + 1] = change[changed]
         first = t.corner + t.cell * [i.min() - 1, k.min() - 1]
-        across = strips_lib.strips_of(self.tool)
-        bins = self.state.origin[0] + sweep.GRID.offsets
-        bins = np.broadcast_to(bins, (len(across.centres), len(bins)))
-        read = strips_lib.heights(Terrain(box, t.cell, first), self.place, self.scale, across, bins)
+        across = strips_of(self.tool)
+        bins = self.state.origin + sweep.OFFSETS
+        read = across.heights(Terrain(box, t.cell, first), self.place, self.scale, bins)
         read *= self.place.cosine
         if self._looks and np.ptp(read, axis=0).max() > EVEN:
             self._take_all()
-        if len(self._radius) != len(read):
+        if len(self.strips.centres) != len(read):
             read = read[across.under].mean(axis=0, keepdims=True)
         state = self.state
         self.state = state._replace(surface=state.surface + read, profile=state.profile + read)
@@ -361,18 +340,18 @@ class Passage:
     def surroundings(self):
         """The cells in sight: their numbers int [K] in the flat map, places [K, 2] u from the
         origin and across (m of the field), and heights [K] before the tool, m."""
-        return self._cells, self._places - [self.state.origin[0], 0.0], self._before
+        return self._cells, self._places - [self.state.origin, 0.0], self._before
 
     def _corners(self, low, high):
         """x and z [4, 2] (m) of the corners of what lies between places low and high along the way
         and near enough across (m of the field)."""
-        reach = self.tool.width / self.scale / 2 + strips_lib.BESIDE
+        reach = self.tool.width / self.scale / 2 + BESIDE
         ends = [[u * self.place.cosine, 0.0, z] for u in (low, high) for z in (-reach, reach)]
         ends = np.array(ends)
         return self.place.world(self.scale * ends)[:, [0, 2]]
 
     def _sight(self):
-        return self.state.origin[0] + sweep.GRID.offsets[[0, -1]]
+        return self.state.origin + sweep.OFFSETS[[0, -1]]
 
     @property
     def footprint(self) -> tuple[np.ndarray, float]:
@@ -389,7 +368,7 @@ class Passage:
     def _within(self, low, high):
         """Ascending numbers of the cells between places low and high along the way (m of the
         field) and near enough across, u and distance across of their middles."""
-        reach = self.tool.width / self.scale / 2 + strips_lib.BESIDE
+        reach = self.tool.width / self.scale / 2 + BESIDE
         t, found = self.terrain, self._corners(low, high)
         first = np.floor((found.min(axis=0) - t.corner) / t.cell).astype(int)
         last = np.ceil((found.max(axis=0) - t.corner) / t.cell).astype(int)
@@ -405,38 +384,29 @@ class Passage:
     @property
     def frame(self) -> sweep.Frame:
         """What the networks see now, [1, J, ...]."""
-        s, level = self.state, np.full(len(self.strips.centres), self.level)
-        ground, c = self.place.height / self.scale, self.place.cosine
-        here, n = self.scale * c * s.tip[0], len(level)
+        s, ground, c = self.state, self.place.height / self.scale, self.place.cosine
         ahead, behind = (
-            np.full(n, min(self.terrain.wall(self.place, here, way) / self.scale, AHEAD))
+            min(self.terrain.wall(self.place, self.scale * c * s.tip, way) / self.scale, AHEAD)
             for way in (1, -1)
         )
-        height = ground + c * (s.pose[:, 1] - ground + self.place.grade * s.pose[:, 0])
+        height = ground + c * (s.pose[1] - ground + self.place.grade * s.pose[0])
         below = height - self._radius - self.terrain.floor / self.scale
-        back, under = self.tool.back(s.pose[0, 2]), self.strips.under
-        pressed = np.zeros(n)  # beside the tool there is no back
-        pressed[under] = sweep.pressed(s, self._radius[0], *back)[under]
-        of_passage = np.stack(
-            [self.carried, np.clip(below, 0.0, BELOW), ahead, sweep.layer(s, self.tool.strikes),
-             behind, pressed], axis=1,
-        )  # fmt: skip
-        scalars = np.concatenate(
-            [
-                sweep.scalars(s, level),
-                np.broadcast_to(self._values, (len(level), len(self._values))),
-                of_passage,
-            ],
-            axis=1,
-        )
-        bins = sweep.channels(s, level)
-        return sweep.Frame(bins[None], scalars[None].astype(np.float32))
+        under = self.strips.under
+        pressed = np.zeros(len(s.surface))  # beside the tool there is no back
+        pressed[under] = sweep.pressed(s, self._radius, *self.tool.back(s.pose[2]))[under]
+        columns = [
+            *self._values, self.carried, np.clip(below, 0.0, BELOW), ahead,
+            sweep.layer(s, self.tool.strikes), behind, pressed,
+        ]  # fmt: skip
+        own = np.stack(np.broadcast_arrays(*columns), axis=1).astype(np.float32)
+        scalars = np.concatenate([sweep.scalars(s, self.level), own], axis=1)
+        return sweep.Frame(sweep.channels(s, self.level)[None], scalars[None])
 
 
 def _line(surface) -> tuple[float, float, float]:
     """Of the line a + b u through the mean of the outermost of strips [J, n_bin], a and b; how far
     the mean is from it at most, m of the field."""
-    mean, u = surface[[0, -1]].mean(axis=0), sweep.GRID.offsets
+    mean, u = surface[[0, -1]].mean(axis=0), sweep.OFFSETS
     middle = u.mean()
     slope = float((u - middle) @ mean / ((u - middle) @ (u - middle)))
     height = float(mean.mean()) - slope * middle

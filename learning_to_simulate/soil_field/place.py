@@ -1,9 +1,14 @@
-"""Where a tool works on a terrain: its vertical plane of travel, and the world seen from there.
+"""Where a tool works on a terrain: its vertical plane of travel, the world seen from there, and the
+strips of terrain under it and beside it.
 
 The world has y up, x and z on the ground, in metres. A tool that stands upright with the identity
 as its quaternion looks along -x. Its place has three axes, right-handed: along the way (where the
 tool looks, level), up, across. A turn or shift of the whole scene changes the place and nothing
 that is seen from it.
+
+Under a blade of width w lie five strips of w / 5, beside it on either side three of 0.1 m. The
+height of a strip at some place along the way is the mean over its width. Where all strips are
+equal, one as wide as the tool does.
 """
 
 from typing import NamedTuple
@@ -11,10 +16,15 @@ from typing import NamedTuple
 import numpy as np
 
 from learning_to_simulate.live.poses import rotation_matrix
+from learning_to_simulate.soil_field.terrain import Terrain
+from learning_to_simulate.soil_field.tools import Tool
 
 UP = np.array([0.0, 1.0, 0.0])
 # Along, up and across of a tool with the identity as its quaternion.
 UPRIGHT = np.array([[-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, -1.0]])
+N_BESIDE, BESIDE_WIDTH = 3, 0.1  # strips on either side, m of the field
+BESIDE = N_BESIDE * BESIDE_WIDTH  # soil farther beside the tool has not moved, m of the field
+ACROSS = np.array([-0.4, -0.2, 0.0, 0.2, 0.4])  # where a strip is read, in its widths
 
 
 class Place(NamedTuple):
@@ -114,3 +124,46 @@ def checked_pose(pose) -> np.ndarray:
     if abs(np.linalg.norm(pose[3:]) - 1.0) > 1e-3:
         raise ValueError(f'quaternion {pose[3:]} (w, x, y, z) must have length 1')
     return pose
+
+
+class Strips(NamedTuple):
+    """Strips of a tool, in lengths of the field.
+
+    Attributes:
+      centres: [J] distance across, ascending.
+      widths: [J].
+      under: slice of those under the tool.
+    """
+
+    centres: np.ndarray
+    widths: np.ndarray
+    under: slice
+
+    def shares(self, across) -> tuple[np.ndarray, np.ndarray]:
+        """The strip below places across [...] (m of the field) and the share of the next one."""
+        last = len(self.centres) - 1
+        if not last:
+            return np.zeros(np.shape(across), np.int64), np.zeros(np.shape(across))
+        low = np.clip(np.searchsorted(self.centres, across, side='right') - 1, 0, last - 1)
+        gap = self.centres[low + 1] - self.centres[low]
+        return low, np.clip((across - self.centres[low]) / gap, 0.0, 1.0)
+
+    def heights(self, terrain: Terrain, place: Place, scale: float, u) -> np.ndarray:
+        """Heights [J, k] at places u [k] along the way, on its graded ground, all in m of the
+        field, from a terrain in m of the world."""
+        across = self.centres[:, None] + self.widths[:, None] * ACROSS
+        along, over = scale * place.cosine * np.asarray(u)[:, None], scale * across[:, None, :]
+        x, z = (place.origin[i] + place.along[i] * along + place.across[i] * over for i in (0, 2))
+        return terrain.at(x, z).mean(axis=-1) / scale
+
+
+def strips_of(tool: Tool, even: bool = False) -> Strips:
+    """The strips of a tool; one on even terrain, and for a tool that knows no neighbours."""
+    width, count = tool.width / tool.scale, tool.columns
+    if even or count == 1:
+        return Strips(np.zeros(1), np.array([width]), slice(0, 1))
+    under = (np.arange(count) - (count - 1) / 2) * width / count
+    beside = width / 2 + BESIDE_WIDTH * (np.arange(N_BESIDE) + 0.5)
+    widths = np.repeat([BESIDE_WIDTH, width / count, BESIDE_WIDTH], [N_BESIDE, count, N_BESIDE])
+    centres = np.concatenate([-beside[::-1], under, beside])
+    return Strips(centres, widths, slice(N_BESIDE, N_BESIDE + count))

@@ -12,7 +12,6 @@ from learning_to_simulate.soil_field.runs import Run
 from learning_to_simulate.soil_field.stepper import DT, SoilFrame, SoilStepper
 from learning_to_simulate.soil_field.terrain import Terrain
 from learning_to_simulate.soil_field.tools import Tool
-from learning_to_simulate.soil_field.tracer import Tracer
 from pca_tools import files
 
 EVERY = 4  # frames between maps of heights
@@ -127,27 +126,9 @@ def outline(tool: Tool) -> np.ndarray:
     return np.concatenate([below, [[tool.radius, top], [-tool.radius, top]], below[:1]])
 
 
-class Followed(Tracer):
-    """Given particles [P, 3], m, followed from before a tool is set down at a pose [7]."""
-
-    def __init__(self, stepper: SoilStepper, pose, points):
-        self._engine, self._rest, self._pose = stepper, np.array(points, np.float64), pose
-        self._anchored = stepper.anchor(pose, set_down=True)
-
-    def begin(self, pose) -> None:
-        self._rest, self._pose = self.points().astype(np.float64), pose
-        self._anchor()
-
-    def _anchor(self):
-        self._anchored = self._engine.anchor(self._pose)
-
-
-Step = Callable[[int], SoilFrame]
-
-
 def roll_out(
-    stepper: SoilStepper, path, dt: float = DT, every: int = EVERY, step: Step | None = None,
-    followed: 'Followed | None' = None, **more,
+    stepper: SoilStepper, path, dt: float = DT, every: int = EVERY,
+    step: Callable[[int], SoilFrame] | None = None, particles=None, **more,
 ) -> TerrainRollout:  # fmt: skip
     """Sets a tool down on the terrain of a stepper and goes along a path.
 
@@ -158,7 +139,7 @@ def roll_out(
       every: frames from one map to the next.
       step: goes to a frame of a number, where the tool does not follow the path itself; None: to
         the next pose.
-      followed: particles of the same terrain, made before this call.
+      particles: [P, 3], m, to be followed from before the tool is set down; or None.
       **more: `run` and `name` of the rollout.
 
     Raises:
@@ -174,19 +155,13 @@ def roll_out(
         def step(t):
             return stepper.step(path[t], dt)
 
-    frames, heights, particles, place = [], [], [], None
+    frames, heights, followed = [], [], []
     for t in range(len(path)):
-        frames.append(step(t) if t else stepper.start(path[0]))
-        if followed is not None and t:
-            if place is None or stepper.place.origin is not place.origin:
-                followed.begin(frames[-1].pose)
-            else:
-                followed.step(frames[-1].pose, dt)
-        place = stepper.place
+        frames.append(step(t) if t else stepper.start(path[0], particles))
         if not t % every:
             heights.append(terrain.heights.astype(np.float32))
-            if followed is not None:
-                particles.append(followed.points())
+            if particles is not None:
+                followed.append(stepper.particles())
     return TerrainRollout(
         tool=stepper.tool,
         before=before,
@@ -201,6 +176,6 @@ def roll_out(
         judgement=frames[-1].judgement,
         dt=dt,
         seconds=time.perf_counter() - clock,
-        particles=np.stack(particles) if particles else None,
+        particles=np.stack(followed) if followed else None,
         **more,
     )

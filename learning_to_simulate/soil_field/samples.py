@@ -10,10 +10,10 @@ from typing import NamedTuple
 import numpy as np
 import tensorflow as tf
 
-from learning_to_simulate.soil_field import strips as strips_lib
 from learning_to_simulate.soil_field import sweep
 from learning_to_simulate.soil_field.network import placed
 from learning_to_simulate.soil_field.passage import Passage
+from learning_to_simulate.soil_field.place import BESIDE
 from learning_to_simulate.soil_field.runs import Run
 
 # A run that moves less than this (root mean square, m of the field) weighs no more than one that
@@ -118,7 +118,7 @@ def episode_of(run: Run, start: int = 0, whole: Episode | None = None) -> Episod
     while True:
         passage = walk.passage
         frames.append(passage.frame)
-        ways.append(passage.state.way[0])
+        ways.append(passage.state.way)
         t = walk.frame_number
         if not t % run.stride:
             cells, places, before = passage.surroundings()
@@ -152,7 +152,7 @@ def _stacked(frames, n_strips):
 def load_part(networks, run: Run, episode: Episode) -> Part:
     """Samples of the load: all frames in which the tool may feel soil."""
     frames = episode.frames
-    call = networks.compiled(frames.bins.shape[1]).load_inputs
+    call = networks.compiled('load_inputs', frames.bins.shape[1])
     parts = [
         [x.numpy() for x in call(*map(tf.constant, frames.at(slice(i, i + BATCH))))]
         for i in range(0, len(frames.scalars), BATCH)
@@ -167,13 +167,13 @@ def load_part(networks, run: Run, episode: Episode) -> Part:
     return Part(tuple(x[felt] for x in (seen, sides, kappa, width)), target[felt], weight[felt])
 
 
-def _drawn(rng, moves, count):
-    """Indices of about `count` of [K], half of them of those that move, and for how many each of
+def _drawn(rng, moves):
+    """Indices of about `DRAWN` of [K], half of them of those that move, and for how many each of
     them stands."""
     chosen, stands = [], []
     for group in (np.flatnonzero(moves), np.flatnonzero(~moves)):
         if len(group):
-            some = rng.choice(group, min(len(group), count // 2), replace=False)
+            some = rng.choice(group, min(len(group), DRAWN // 2), replace=False)
             chosen.append(some)
             stands.append(np.full(len(some), len(group) / len(some)))
     return np.concatenate(chosen), np.concatenate(stands)
@@ -187,11 +187,11 @@ def motion_of(episode: Episode) -> float:
 def surface_part(networks, episode: Episode, motion: float, rng) -> Part:
     """Samples of the surface; `motion` is that of the whole run."""
     frames, strips, rows = episode.frames, episode.passage.strips, []
+    call = networks.compiled('surface_inputs', frames.bins.shape[1])
     for t, places, rise in episode.risen[1:]:
-        chosen, stands = _drawn(rng, np.abs(rise) > MOVED, DRAWN)
-        seen, gate = networks.compiled(frames.bins.shape[1]).surface_inputs(
-            *_one(frames, t), *placed(strips, places[chosen])
-        )
+        chosen, stands = _drawn(rng, np.abs(rise) > MOVED)
+        frame = map(tf.constant, frames.at(slice(t, t + 1)))
+        seen, gate = call(*frame, *placed(strips, places[chosen]))
         weight = stands / len(rise) / max(motion, LEAST_MOTION) ** 2
         rows.append((seen.numpy()[0], gate.numpy()[0], rise[chosen], weight))
     return _part(rows)
@@ -202,33 +202,28 @@ def soil_part(networks, run: Run, rng) -> Part:
     rows: list = []
     for start in starts_of(run):
         walk = Walk(run, start, set_down=start == 0)
-        passage, origin = walk.passage, walk.passage.state.origin[0]
-        local = passage.place.local(run.particles[:, :]) / passage.scale  # type: ignore[index]
+        passage, origin = walk.passage, walk.passage.state.origin
+        local = passage.place.local(np.asarray(run.particles)) / passage.scale
         rest = local[start // run.stride]
-        reach = run.tool.width / passage.scale / 2 + strips_lib.BESIDE
+        reach = run.tool.width / passage.scale / 2 + BESIDE
         near = np.abs(rest[:, 2]) < reach
         while walk.frame_number + 1 < len(run.pose):
             walk.go_on()
             t = walk.frame_number
-            if passage.state.origin[0] != origin:
+            if passage.state.origin != origin:
                 break
             if t % (2 * run.stride):
                 continue
             moved = local[t // run.stride] - rest
-            chosen, stands = _drawn(rng, (np.abs(moved).max(axis=1) > MOVED) & near, DRAWN)
+            chosen, stands = _drawn(rng, (np.abs(moved).max(axis=1) > MOVED) & near)
             places = rest[chosen] - [origin, passage.level, 0.0]
-            seen, gate = networks.compiled(len(passage.strips.centres)).soil_inputs(
-                *map(tf.constant, passage.frame), *placed(passage.strips, places)
-            )
+            call = networks.compiled('soil_inputs', len(passage.strips.centres))
+            seen, gate = call(*map(tf.constant, passage.frame), *placed(passage.strips, places))
             rows.append((seen.numpy()[0], gate.numpy()[0], moved[chosen], stands / len(rest)))
     part = _part(rows)
     total = part.weight.sum() or 1.0  # of a tool that is clear of all particles
     motion = np.sqrt((part.weight[:, None] * part.target**2).sum() / total)
     return part._replace(weight=part.weight / max(motion, LEAST_MOTION) ** 2)
-
-
-def _one(frames, t):
-    return tf.constant(frames.bins[t : t + 1]), tf.constant(frames.scalars[t : t + 1])
 
 
 def _part(rows):

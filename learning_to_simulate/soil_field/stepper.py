@@ -12,7 +12,7 @@ from learning_to_simulate.soil_field.field import SoilField
 from learning_to_simulate.soil_field.place import UP, Place
 from learning_to_simulate.soil_field.terrain import Terrain
 from learning_to_simulate.soil_field.tools import Tool
-from learning_to_simulate.soil_field.tracer import Tracer
+from learning_to_simulate.soil_field.tracer import Followed, Tracer
 
 DT = 1.0 / 60.0  # s
 
@@ -74,10 +74,11 @@ class SoilStepper:
             raise ValueError('the tool stands nowhere yet: call start()')
         return self._frame
 
-    def start(self, pose) -> SoilFrame:
+    def start(self, pose, particles=None) -> SoilFrame:
         """Sets the tool down from above at a pose [7]; ValueError for what is none, or is under the
-        floor."""
-        self._frame, self._tracer = self._engine.start(pose), None
+        floor. Given `particles` [P, 3], m, are then followed in place of those about the tool."""
+        given = None if particles is None else Followed(self._engine, pose, particles)
+        self._frame, self._tracer = self._engine.start(pose), given
         return self._frame
 
     def propose(self, pose, dt: float = DT) -> SoilFrame:
@@ -100,27 +101,18 @@ class SoilStepper:
         self._frame = frame = self._engine.step(pose, dt)
         if place is not None:
             if self._engine.place.origin is not place.origin:
-                self._tracer = self._traced()
+                self._tracer.begin(frame.pose)
             else:
                 self._tracer.step(frame.pose, dt)
         return frame
 
     def particles(self) -> np.ndarray:
-        """float32 [N, 3], m: places of particles about the tool.
-
-        They are followed from the first call on; until then soil is what the terrain looks like.
-        """
+        """float32 [P, 3], m: places of particles: those that `start` was given, else some about the
+        tool. These are followed from the first call on; until then soil is what the terrain looks
+        like."""
         if self._tracer is None:
-            self._tracer = self._traced()
+            self._tracer = Tracer(self._engine, self.terrain, self.tool, self.frame.pose)
         return self._tracer.points()
-
-    def anchor(self, pose, set_down: bool = False):
-        """From where particles are followed: `engine.TfAnchor`, or its twin in C, of the tool at a
-        pose [7]; `set_down` from above, else it stands in soil that it has not moved."""
-        return self._engine.anchor(pose, set_down)
-
-    def _traced(self):
-        return Tracer(self._engine, self.terrain, self.tool, self.frame.pose)
 
     def clone(self) -> 'SoilStepper':
         """A stepper of its own at the same point, on a terrain of its own."""

@@ -1,7 +1,7 @@
 """What a tool has swept on a terrain: the state of a soil field, in numpy and float64.
 
 A tool is a circle drawn out across the way: the round lower edge of a blade or bucket, or the rim
-of a wheel. Columns lie side by side across the way, under the tool and beside it; each has bins
+of a wheel. J strips lie side by side across the way, under the tool and beside it; each has bins
 along the way. The bins are a ring about the tool: where it leaves them, those behind are dropped
 and new ones are read from the terrain, so that a path has no end and a step always costs the same.
 What they remember are (1) to (9) of docs/soil_field.md; of the outermost bins of the area (4) their
@@ -12,7 +12,6 @@ path and terrain together changes nothing. Coordinates: u (m) along the way, y (
 are those of the tool's scale (`tools.Tool`).
 """
 
-import dataclasses
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -20,6 +19,13 @@ import numpy as np
 
 from learning_to_simulate import swept
 
+# Bins along the way: their spacing, m (an edge of less than half of it would fall between them),
+# and their centres [n] from an origin, m, of which 0 is one.
+SPACING = 0.005
+OFFSETS = SPACING * np.arange(-110, 151)
+OFFSETS.setflags(write=False)
+# The tool stays within so much behind and ahead of the origin, m, which follows it by CHUNK bins.
+BACK, ON, CHUNK = 0.1, 0.3, 20
 WINDOW = 0.45  # m behind and before the tool that count
 FORGET = 1.0  # m
 MEMORIES = (0.0005, 0.002, 0.008, 0.03)  # m
@@ -33,7 +39,7 @@ RISE = 0.5
 # Channels of the bins of a frame: (3), height of the terrain over the level, (5), (6), (8), (9),
 # (23).
 CHANNELS = ('cut', 'surface', 'since', 'area_before', 'influence', 'disturbed', 'struck')
-CUT, SURFACE, SINCE, AREA_BEFORE, INFLUENCE, DISTURBED, STRUCK = range(7)
+CUT, SURFACE = 0, 1
 MOTIONS = ('along', 'up', 'turn', 'pace')  # d / ds, and ds over its duration, m/s: (7)
 # Scalars of a frame that come from the path; those of `tools.Tool.scalars` and `OF_PASSAGE` follow.
 SCALARS = (
@@ -46,77 +52,55 @@ SCALARS = (
 # it a wall is, m; soil in place of the back of a blade, m2: (26).
 OF_PASSAGE = ('carried', 'below', 'ahead', 'layer', 'behind', 'pressed')
 
+# Heights [J, k] of the terrain at places u [k] of the strips, m.
 Read = Callable[[np.ndarray], np.ndarray]
 
 
-@dataclasses.dataclass(frozen=True)
-class Grid:
-    """Bins along the way.
-
-    Attributes:
-      spacing: of the bins, m; an edge of less than half of it would fall between them.
-      behind, ahead: how far they reach behind and ahead of the origin, m.
-      back, on: the tool stays within so much behind and ahead of the origin, m.
-      chunk: bins by which the origin follows.
-    """
-
-    spacing: float = 0.005
-    behind: float = 0.55
-    ahead: float = 0.75
-    back: float = 0.1
-    on: float = 0.3
-    chunk: int = 20
-
-    @property
-    def offsets(self) -> np.ndarray:
-        """[n] centres of the bins from the origin, m; 0 is one."""
-        first, last = round(self.behind / self.spacing), round(self.ahead / self.spacing)
-        return self.spacing * np.arange(-first, last + 1)
-
-
-GRID = Grid()
-
-
 class Sweep(NamedTuple):
-    """State of B columns; a function of terrain and path so far.
+    """State of J strips; a function of terrain and path so far.
 
     Attributes:
-      origin: [B] u of the bins' origin, m; bin k lies at `origin + grid.offsets[k]`.
-      surface: [B, n] height of the terrain before the tool, m.
-      profile: [B, n] the lowest of surface and undersides so far, m.
-      last: [B, n] distance travelled at the last passage below the surface, m; `-FORGET` where
+      origin: u of the bins' origin, m; bin k lies at `origin + OFFSETS[k]`.
+      pose: [3] u and y of the circle's centre (m) and its turn: lean of a blade, rad.
+      memory: [K, 4] of `MOTIONS`, (7).
+      travelled: length of the path, m.
+      way: sum of ds, m.
+      speed: ds over the duration of the last frame, m/s.
+      surface: [J, n] height of the terrain before the tool, m.
+      profile: [J, n] the lowest of surface and undersides so far, m.
+      last: [J, n] distance travelled at the last passage below the surface, m; `-FORGET` where
         there was none.
-      area_before: [B, n], (6), m2.
-      struck: [B, n], (23), m.
-      begun: [B] 1 where the tool has cut as deep as `TOUCH`, less where it has cut less.
-      pose: [B, 3] u and y of the circle's centre (m) and its turn: lean of a blade, rad.
-      memory: [B, K, 4] of `MOTIONS`, (7).
-      travelled: [B] length of the path, m.
-      way: [B] sum of ds, m.
-      foremost: [B], m.
-      speed: [B] ds over the duration of the last frame, m/s.
-      dropped: [B] cut area of bins that have been dropped, m2.
+      area_before: [J, n], (6), m2.
+      struck: [J, n], (23), m.
+      begun: [J] 1 where the tool has cut as deep as `TOUCH`, less where it has cut less.
+      foremost: [J], m.
+      dropped: [J] cut area of bins that have been dropped, m2.
     """
 
-    origin: np.ndarray
+    origin: np.float64
+    pose: np.ndarray
+    memory: np.ndarray
+    travelled: np.float64
+    way: np.float64
+    speed: np.float64
     surface: np.ndarray
     profile: np.ndarray
     last: np.ndarray
     area_before: np.ndarray
     struck: np.ndarray
     begun: np.ndarray
-    pose: np.ndarray
-    memory: np.ndarray
-    travelled: np.ndarray
-    way: np.ndarray
     foremost: np.ndarray
-    speed: np.ndarray
     dropped: np.ndarray
 
     @property
-    def tip(self) -> np.ndarray:
-        """u [B] of the centre, m."""
-        return self.pose[:, 0]
+    def tip(self) -> np.float64:
+        """u of the centre, m."""
+        return self.pose[0]
+
+    def repeated(self, strips: int) -> 'Sweep':
+        """One strip as so many equal ones."""
+        of_path, of_strips = self[:6], self[6:]
+        return Sweep(*of_path, *(np.repeat(values, strips, axis=0) for values in of_strips))
 
 
 class Frame(NamedTuple):
@@ -135,155 +119,139 @@ class Frame(NamedTuple):
         return Frame(self.bins[which], self.scalars[which])
 
 
-def start(pose, read: Read, grid: Grid = GRID) -> Sweep:
-    """The state before any motion. The tool has cut nothing yet, wherever it stands.
-
-    Args:
-      pose: [B, 3], see `Sweep`.
-      read: heights [B, k] of the terrain at places u [B, k] of the columns, m.
-      grid: bins.
-
-    Raises:
-      ValueError: poses or heights that are not finite.
-    """
-    pose = _checked('pose', pose)
-    origin = pose[:, 0].copy()
-    surface = _checked('terrain', read(origin[:, None] + grid.offsets))
-    none, never = np.zeros_like(origin), np.zeros_like(surface)
+def start(pose, read: Read) -> Sweep:
+    """The state at a pose [3] before any motion: the tool has cut nothing yet, wherever it stands.
+    ValueError for a terrain that is not finite."""
+    surface, nothing = _seen(read, pose[0]), np.float64(0.0)
+    never, none = np.zeros_like(surface), np.zeros(len(surface))
     return Sweep(
-        origin, surface, surface, np.full_like(surface, -FORGET), never, never, none, pose,
-        np.zeros((len(pose), len(MEMORIES), len(MOTIONS))), none, none, origin, none, none,
+        pose[0], pose, np.zeros((len(MEMORIES), len(MOTIONS))), nothing, nothing, nothing,
+        surface, surface, np.full_like(surface, -FORGET), never, never, none,
+        np.full(len(surface), pose[0]), none,
     )  # fmt: skip
 
 
 def advance(
-    state: Sweep, pose, turn, radius, dt: float, read: Read, grid: Grid = GRID, strikes: float = 0.0
+    state: Sweep, pose, turn: float, radius: float, dt: float, read: Read, strikes: float = 0.0
 ) -> Sweep:
-    """Moves the circles in a straight line to their next poses; the state before is not changed.
+    """Moves the circle in a straight line to its next pose [3] within dt s; the state before is not
+    changed.
 
     Args:
-      state: before.
-      pose: [B, 3], see `Sweep`.
-      turn: [B], x of (7), m.
-      radius: [B], m.
-      dt: duration, s.
-      read: see `start`; called where new bins come into sight.
-      grid: bins.
+      turn: x of (7), m.
+      radius: m.
+      read: called where new bins come into sight.
       strikes: `Tool.strikes`, m.
 
     Raises:
-      ValueError: a time that does not pass; poses that are not finite.
+      ValueError: a terrain that is not finite.
     """
-    swept.check_time(dt)
-    pose = _checked('pose', pose)
-    state = _followed(state, pose[:, 0], read, grid)
+    state = _followed(state, pose[0], read)
     step = pose - state.pose
-    length = np.hypot(step[:, 0], step[:, 1])
-    bins = state.origin[:, None] + grid.offsets
-    height = swept.underside(bins, state.pose[:, :2], pose[:, :2], np.asarray(radius)[:, None])
-    after = state._replace(**swept.after_step(state, height, pose[:, 0], length))
+    length = np.hypot(step[0], step[1])
+    height = swept.underside(state.origin + OFFSETS[None], state.pose[None, :2], pose[None, :2],
+                             radius)  # fmt: skip
+    after = state._replace(**swept.after_step(state, height, pose[0], length))
     ds = length + np.abs(turn)
-    motion = np.stack([step[:, 0], step[:, 1], turn, ds**2 / dt], axis=1)
-    motion /= np.maximum(ds, 1e-30)[:, None]
-    fade = np.exp(-ds[:, None] / np.array(MEMORIES))[..., None]
+    motion = np.array([step[0], step[1], turn, ds * ds / dt]) / max(ds, 1e-30)
+    fade = np.exp(-ds / np.array(MEMORIES))[:, None]
     deepest = (after.surface - after.profile).max(axis=1)
     begun = np.maximum(state.begun, np.minimum(deepest / TOUCH, 1.0))
     over = begun[:, None] * np.clip(state.surface + strikes - height, 0.0, strikes)
     after = after._replace(begun=begun, struck=np.maximum(state.struck, over))  # (23)
     # (6): what the tool passes over without a cut may come from what it has left.
     is_new = (after.struck > 0) & ~(state.struck > 0) & ~(after.profile < after.surface)
-    there = area(state, grid)
-    left = np.maximum(there - layer(state, strikes, grid), 0.0)
+    there = area(state)
+    left = np.maximum(there - layer(state, strikes), 0.0)
     known = np.where(is_new, left[:, None], state.area_before)
     return after._replace(
         area_before=swept.area_before(state, after, there, known),
         pose=pose,
-        memory=fade * state.memory + (1 - fade) * motion[:, None],  # (7)
+        memory=fade * state.memory + (1 - fade) * motion,  # (7)
         way=state.way + ds,
-        foremost=np.minimum(after.foremost, pose[:, 0] + WINDOW),
+        foremost=np.minimum(after.foremost, pose[0] + WINDOW),
         speed=ds / dt,
     )
 
 
-def follow(origin, tip, grid: Grid = GRID):
-    """Where the bins' origins [...] go when tools go to u = tip [...], m; by whole chunks, and no
-    farther than needed."""
-    chunk, offset = grid.chunk * grid.spacing, tip - origin
-    on = np.maximum(np.ceil((offset - grid.on) / chunk), 0.0)
-    back = np.maximum(np.ceil((-grid.back - offset) / chunk), 0.0)
+def follow(origin, tip):
+    """Where the bins' origin goes when the tool goes to u = tip, m; by whole chunks, and no farther
+    than needed."""
+    chunk, offset = CHUNK * SPACING, tip - origin
+    on = np.maximum(np.ceil((offset - ON) / chunk), 0.0)
+    back = np.maximum(np.ceil((-BACK - offset) / chunk), 0.0)
     return origin + chunk * (on - back)
 
 
-def _followed(state, tip, read, grid):
-    """The state with bins about the coming tips [B]."""
-    coming = follow(state.origin, tip, grid)
-    shift = np.rint((coming - state.origin) / grid.spacing).astype(int)
-    return _shifted(state, shift, coming, read, grid) if shift.any() else state
+def _followed(state, tip, read):
+    """The state with bins about the coming tip."""
+    origin = follow(state.origin, tip)
+    if not (shift := round((origin - state.origin) / SPACING)):
+        return state
+    bins, n = np.arange(len(OFFSETS)), len(OFFSETS)
+    is_new, is_lost = ((bins + k < 0) | (bins + k >= n) for k in (shift, -shift))
+    old = np.clip(bins + shift, 0, n - 1)
+    lost = np.where(is_lost, state.surface - state.profile, 0.0)
 
+    def moved(values, coming):
+        return np.where(is_new, coming, values[:, old])
 
-def _shifted(state, shift, origin, read, grid):
-    """The state with the origins of its columns moved by bins [B] to u [B]."""
-    n = state.surface.shape[1]
-    index = np.arange(n) + shift[:, None]
-    is_new = (index < 0) | (index >= n)
-    old = np.clip(index, 0, n - 1)
-    coming = _checked('terrain', read(origin[:, None] + grid.offsets))
-    surface = np.where(is_new, coming, _taken(state.surface, old))
-    place = np.arange(n) - shift[:, None]
-    lost = np.where((place < 0) | (place >= n), state.surface - state.profile, 0.0)
+    surface = moved(state.surface, _seen(read, origin))
     return state._replace(
         origin=origin,
         surface=surface,
-        profile=np.where(is_new, surface, _taken(state.profile, old)),
-        last=np.where(is_new, state.travelled[:, None] - FORGET, _taken(state.last, old)),
-        area_before=np.where(is_new, 0.0, _taken(state.area_before, old)),
-        struck=np.where(is_new, 0.0, _taken(state.struck, old)),
-        dropped=state.dropped + grid.spacing * lost.sum(axis=1),
+        profile=moved(state.profile, surface),
+        last=moved(state.last, state.travelled - FORGET),
+        area_before=moved(state.area_before, 0.0),
+        struck=moved(state.struck, 0.0),
+        dropped=state.dropped + SPACING * lost.sum(axis=1),
     )
 
 
-def _taken(values, index):
-    return np.take_along_axis(values, index, axis=1)
+def _seen(read, origin):
+    surface = np.asarray(read(origin + OFFSETS), np.float64)
+    if not np.isfinite(surface).all():
+        raise ValueError('the terrain about the tool holds heights that are not finite')
+    return surface
 
 
-def area(state: Sweep, grid: Grid = GRID) -> np.ndarray:
-    """[B], m2: (4)."""
-    cut = state.surface - state.profile
-    distance = np.abs(state.origin[:, None] + grid.offsets - state.tip[:, None])
-    share = np.clip((WINDOW - distance) / grid.spacing + 0.5, 0.0, 1.0)
-    return grid.spacing * np.sum(share * cut, axis=1)
+def area(state: Sweep) -> np.ndarray:
+    """[J], m2: (4)."""
+    distance = np.abs(state.origin + OFFSETS - state.tip)
+    share = np.clip((WINDOW - distance) / SPACING + 0.5, 0.0, 1.0)
+    return SPACING * np.sum(share * (state.surface - state.profile), axis=1)
 
 
-def all_cut(state: Sweep, grid: Grid = GRID) -> np.ndarray:
-    """[B], m2: all that was cut, dropped bins among it."""
-    return state.dropped + grid.spacing * (state.surface - state.profile).sum(axis=1)
+def all_cut(state: Sweep) -> np.ndarray:
+    """[J], m2: all that was cut, dropped bins among it."""
+    return state.dropped + SPACING * (state.surface - state.profile).sum(axis=1)
 
 
-def layer(state: Sweep, strikes: float, grid: Grid = GRID) -> np.ndarray:
-    """[B], m2: (24)."""
+def layer(state: Sweep, strikes: float) -> np.ndarray:
+    """[J], m2: (24)."""
     uncut = 1.0 - np.minimum((state.surface - state.profile) / TOUCH, 1.0)
     passed = np.minimum(state.struck / TOUCH, 1.0)
-    return grid.spacing * (uncut * passed * (strikes - state.struck)).sum(axis=1)
+    return SPACING * (uncut * passed * (strikes - state.struck)).sum(axis=1)
 
 
-def pressed(state: Sweep, radius, angle: float, length: float, grid: Grid = GRID) -> np.ndarray:
-    """[B], m2: (26). The underside of the back goes straight on where it touches the circle, and
+def pressed(state: Sweep, radius: float, angle: float, length: float) -> np.ndarray:
+    """[J], m2: (26). The underside of the back goes straight on where it touches the circle, and
     rises backwards by an `angle` of 0 to pi / 2 rad over its `length`, m."""
     sine, cosine = np.sin(angle), np.cos(angle)
     slope = max(sine / max(cosine, 1e-9), 1e-6)
-    behind = (state.tip - state.origin)[:, None] - grid.offsets - radius * sine
-    most = state.profile - state.pose[:, 1:2] + radius * cosine
+    behind = (state.tip - state.origin) - OFFSETS - radius * sine
+    most = state.profile - state.pose[1] + radius * cosine
     # Depths in a bin where the part of the back in it begins and ends: what lies between follows
     # exactly, so that a load does not feel the bins.
     begin, end = (
         np.maximum(most - slope * np.clip(behind + side, 0.0, length * cosine), 0.0)
-        for side in (-0.5 * grid.spacing, 0.5 * grid.spacing)
+        for side in (-0.5 * SPACING, 0.5 * SPACING)
     )
     return (begin**2 - end**2).sum(axis=1) / (2.0 * slope)
 
 
 def cone(values, fall: float) -> np.ndarray:
-    """C: the largest of all values [B, n], each lowered by `fall` per bin of distance."""
+    """The largest of all values [J, n], each lowered by `fall` per bin of distance."""
     # The largest so far from either side, in coordinates in which the slope of a cone is level.
     index = fall * np.arange(values.shape[1])
     forward = np.maximum.accumulate(values + index, axis=1) - index
@@ -291,43 +259,30 @@ def cone(values, fall: float) -> np.ndarray:
     return np.maximum(forward, backward)
 
 
-def channels(state: Sweep, level, grid: Grid = GRID) -> np.ndarray:
-    """float32 [B, n, C] of `CHANNELS`; heights from a level [B], m."""
+def channels(state: Sweep, level: float) -> np.ndarray:
+    """float32 [J, n, C] of `CHANNELS`; heights from a level, m."""
     cut = state.surface - state.profile
     touched = np.minimum(cut / TOUCH, 1.0)
     passed = np.maximum(touched, np.minimum(state.struck / TOUCH, 1.0))
-    since = np.minimum(state.travelled[:, None] - state.last, FORGET)
+    since = np.minimum(state.travelled - state.last, FORGET)
     seen = [
         cut,  # (3)
-        state.surface - np.asarray(level)[:, None],
+        state.surface - level,
         FORGET - touched * (FORGET - since),  # (5)
         state.area_before,  # (6)
-        np.clip(3.0 * cone(passed, grid.spacing / REACH), 0.0, 1.0),  # (8)
-        cone(cut, RISE * grid.spacing),  # (9)
+        np.clip(3.0 * cone(passed, SPACING / REACH), 0.0, 1.0),  # (8)
+        cone(cut, RISE * SPACING),  # (9)
         state.struck,  # (23)
     ]
     return np.stack(seen, axis=-1).astype(np.float32)
 
 
-def scalars(state: Sweep, level, grid: Grid = GRID) -> np.ndarray:
-    """float32 [B, S] of `SCALARS`; u from the bins' origin, heights from a level [B], m."""
-    own = [
-        state.tip - state.origin,
-        state.pose[:, 1] - level,
-        state.pose[:, 2],
-        area(state, grid),
-        # Farther behind, as of a tool that goes on in the air, it tells nothing of what is near.
-        np.maximum(state.foremost, state.tip - WINDOW) - state.origin,
-        state.way,
-        state.speed,
-    ]
-    memory = state.memory.reshape(len(state.way), -1)
-    return np.concatenate([np.stack(own, axis=1), memory], axis=1).astype(np.float32)
-
-
-def _checked(name, values):
-    values = np.asarray(values, np.float64)
-    if not np.isfinite(values).all():
-        column = int(np.argwhere(~np.isfinite(values))[0][0])
-        raise ValueError(f'{name} of column {column} is not finite: {values[column]}')
-    return values
+def scalars(state: Sweep, level: float) -> np.ndarray:
+    """float32 [J, S] of `SCALARS`; u from the bins' origin, heights from a level, m."""
+    # Farther behind, as of a tool that goes on in the air, it tells nothing of what is near.
+    foremost = np.maximum(state.foremost, state.tip - WINDOW) - state.origin
+    columns = [
+        state.tip - state.origin, state.pose[1] - level, state.pose[2], area(state), foremost,
+        state.way, state.speed, *state.memory.ravel(),
+    ]  # fmt: skip
+    return np.stack(np.broadcast_arrays(*columns), axis=1).astype(np.float32)

@@ -1,11 +1,7 @@
 """Training of the three networks of a soil field, one after the other, from samples of runs.
 
 Every draw of a step is a function of (seed, step); places of samples are one of the run's name.
-With the errors e of the members,
-
-  L_load = sum over members of the mean of H(weight |COMPONENTS e|^2),
-           H(q) = q, beyond ROBUST^2 of a run's mean square 2 ROBUST sqrt(q) - ROBUST^2       (16)
-  L_surface, L_soil = sum over members of the mean of weight |e / LENGTH|^2                   (17)
+Losses are (16) and (17) of docs/soil_field.md.
 """
 
 import zlib

@@ -256,7 +256,7 @@ def test_particles(ground):
     np.testing.assert_array_equal(c.clone().particles(), c.particles())
     ends = []
     for one in pair:  # given ones, from before the tool is set down
-        anchor = one.anchor(way[0], set_down=True)
+        anchor = one._engine.anchor(way[0], set_down=True)
         anchor.follow(way[3], DT)
         ends.append(anchor.displaced(first.astype(float)))
     np.testing.assert_allclose(*ends, atol=2e-6)
@@ -383,7 +383,7 @@ def test_a_proposal_renews_no_passage():
         for frame, proposed in zip(step(pair, pose), seen):
             np.testing.assert_allclose(frame.force, proposed.force, atol=1e-9)
         renewed += is_due
-        assert (pair[1]._engine._passage.state.way[0] < passage.state.way[0]) == is_due
+        assert (pair[1]._engine._passage.state.way < passage.state.way) == is_due
     assert renewed
     assert_ground(*pair)
 
@@ -420,7 +420,7 @@ def test_a_lifted_tool_leaves_its_cut_and_begins_anew(tool, ground):
         step(pair, pose)
         assert_ground(*pair)
     heights, passage = pair[0].terrain.heights.copy(), pair[1]._engine._passage
-    assert passage.is_lifted and not passage.is_over and passage.state.way.max() < 0.5
+    assert passage.is_lifted and not passage.is_over and passage.state.way < 0.5
     for x in (0.6, 0.7, 0.5):
         pose = poses([[x, high, lean]])[0]
         step(pair, pose)

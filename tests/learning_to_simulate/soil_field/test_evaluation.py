@@ -11,7 +11,7 @@ from learning_to_simulate import evaluation as tables
 from learning_to_simulate.baselines import earthmoving
 from learning_to_simulate.soil_field import evaluation
 from learning_to_simulate.soil_field.runs import Machine
-from learning_to_simulate.soil_field.tools import Soil, Wheel
+from learning_to_simulate.soil_field.tools import Wheel
 from tests.learning_to_simulate.soil_field import worlds
 from tests.learning_to_simulate.soil_field.scenes import DT, poses
 
@@ -22,17 +22,21 @@ def rms(values):
     return 1e3 * np.sqrt(np.mean(np.square(values)))
 
 
+def machine(mass, axis, force, target, stiffness=0.0, damping=0.0):
+    """Of a tool that is free along an axis, where a force [T] acts beside soil and actuators."""
+    load, only = np.zeros((len(target), 6)), np.arange(3) == axis
+    load[:, axis] = force
+    return Machine(mass, 0.0, tuple(only), stiffness * only, damping * only, target, load)
+
+
 def free_run():
     """A blade that its load presses down while it goes along: 2000 N per m of depth bear it. It is
     not lifted again: in the air no load says how high it is."""
     way = worlds.path(3)[:41]
     load = 2000.0 * np.maximum(worlds.TOOL.radius - way[:, 1], 0.0)
-    external = np.zeros((len(way), 6))
-    external[:, 1] = -load
-    target = poses(way * [1, 0, 1])
     # So light that it does not swing on a soil of 2000 N/m.
-    machine = Machine(0.05, 0.0, (False, True, False), np.zeros(3), np.zeros(3), target, external)
-    return worlds.run(3, way=way, machine=machine, kind='free')
+    pressed = machine(0.05, 1, -load, poses(way * [1, 0, 1]))
+    return worlds.run(3, way=way, machine=pressed, kind='free')
 
 
 def jumping_run():
@@ -138,13 +142,8 @@ def test_a_tool_under_its_load_finds_its_height(judged):
 def test_springs_and_dampers_pull_towards_a_target_that_moves():
     """In the air, at last: k (target - q) + c (target' - q') = 0 but for a push along x."""
     way = np.stack([0.3 * np.arange(41) * DT, np.full(41, 0.3), np.full(41, 0.1)], axis=1)
-    external = np.zeros((41, 6))
-    external[:, 0] = 8.0
-    machine = Machine(
-        2.0, 0.0, (True, False, False), np.array([4e3, 0, 0]), np.array([400.0, 0, 0]), poses(way),
-        external,
-    )  # fmt: skip
-    run = worlds.run(0, way=way, machine=machine)
+    pushed = machine(2.0, 0, 8.0, poses(way), 4e3, 400.0)
+    run = worlds.run(0, way=way, machine=pushed)
     rollout = evaluation.SoilEvaluator(worlds.trained()[0]).roll_out(run, under_load=True)
     off = rollout.pose - run.pose
     assert off[-1, 0] == pytest.approx(8.0 / 4e3, abs=1e-5)
@@ -196,12 +195,9 @@ def test_the_formula_of_a_wheel_bears_its_load_and_pulls_where_it_slips():
     travel, slip = np.linspace(0, 0.1, 61), 0.4
     lean = -travel / (1 - slip) / 0.1  # rolls forward
     pose = poses(np.stack([travel, np.full(61, 0.1), lean], axis=1))
-    external = np.zeros((61, 6))
-    external[:, 1] = -50.0
-    machine = Machine(5.0, 0.0, (False, True, False), np.zeros(3), np.zeros(3), pose, external)
     wheel = worlds.run(0)._replace(
-        tool=Wheel(0.08, 0.1), soil=Soil(), pose=pose, machine=machine, force=0 * pose[:, :3] + 1,
-        torque=0 * pose[:, :3] + 1, dt=DT,
+        tool=Wheel(0.08, 0.1), pose=pose, machine=machine(5.0, 1, -50.0, pose),
+        force=0 * pose[:, :3] + 1, torque=0 * pose[:, :3] + 1,
     )  # fmt: skip
     place = evaluation.place_of(pose[0])
     force, torque = evaluation._terramechanics(wheel, place)

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from learning_to_simulate.soil_field import network, sweep
+from learning_to_simulate.soil_field import passage as passage_lib
 from learning_to_simulate.soil_field.passage import AHEAD, Passage
 from learning_to_simulate.soil_field.terrain import Terrain
 from learning_to_simulate.soil_field.tools import Blade, Soil, Wheel
@@ -31,14 +32,16 @@ def trench(passage, places):
     """The rise of soil that vanishes where the tool has been."""
     s = passage.state
     middle = len(s.profile) // 2
-    cut = np.interp(places[:, 0], sweep.GRID.offsets, (s.profile - s.surface)[middle])
+    cut = np.interp(places[:, 0], sweep.OFFSETS, (s.profile - s.surface)[middle])
     half = passage.tool.width / passage.scale / 2
     return np.where(np.abs(places[:, 1]) < half, cut, 0.0)
 
 
-def level(size=(4.0, 1.6), height=0.0, **more):
-    """It reaches from x = -3 to 1, and the middle is at z = 0."""
-    return Terrain.flat(size, height, corner=(-3.0, -size[1] / 2), **more)
+def level(size=(4.0, 1.6), grade=0.0, **more):
+    """It reaches from x = -3 to 1, the middle is at z = 0, and it rises along the way, to -x."""
+    made = Terrain.flat(size, corner=(-3.0, -size[1] / 2), **more)
+    made.heights[:] = -grade * made.middles[0][:, None]
+    return made
 
 
 def test_on_a_long_way_a_passage_is_renewed_where_new_soil_is_cut():
@@ -52,16 +55,16 @@ def test_on_a_long_way_a_passage_is_renewed_where_new_soil_is_cut():
         passage.step(pose, DT)
         if passage.is_due:
             old, passage = passage, passage.renewed(pose)
-            assert tool.renewed_after < old.state.way[0] < tool.renewed_after + 0.03
+            assert tool.renewed_after < old.state.way < tool.renewed_after + 0.03
             assert not passage.is_due and passage.place is old.place
-            assert np.ptp(passage.state.memory - old.state.memory[0]) == 0
-            assert (passage.state.speed == old.state.speed[0]).all()
-            at_tool = np.argmin(np.abs(sweep.GRID.offsets))  # its trench is terrain by now
+            assert (passage.state.memory == old.state.memory).all()
+            assert passage.state.speed == old.state.speed
+            at_tool = np.argmin(np.abs(sweep.OFFSETS))  # its trench is terrain by now
             surface = passage.state.surface[passage.strips.under][:, at_tool - 20 : at_tool]
             assert surface.min() > -0.031 and surface.max() < -0.02
             assert len(passage.gone) and not np.isin(passage.gone, passage.surroundings()[0]).any()
     # Twice on 1.4 m; neither on the way back nor in the air.
-    assert old is not None and passage.state.way[0] > tool.renewed_after and not passage.is_due
+    assert old is not None and passage.state.way > tool.renewed_after and not passage.is_due
     assert old.state.foremost.max() == pytest.approx(1.12, abs=0.03)
     assert np.isinf(TOOLS['wheel'].renewed_after)
 
@@ -94,8 +97,7 @@ def test_an_even_slope_is_seen_as_level_ground(tool, grade):
     c, s = np.cos(angle), np.sin(angle)
     u, y, lean = path.T
     path = np.stack([c * u - s * y, s * u + c * y, lean + angle], axis=1)
-    slope = level()
-    slope.heights[:] = -grade * slope.middles[0][:, None]  # the way goes to -x
+    slope = level(grade=grade)
     there, others = walk(slope, tool, poses(path), rise=trench)
     scenes.assert_frames(others, frames)
     assert there.place.grade == pytest.approx(grade) and here.place.grade == 0
@@ -113,45 +115,41 @@ def test_an_even_slope_is_seen_as_level_ground(tool, grade):
 
 
 def test_a_tool_that_is_set_down_uphill_has_not_turned_back():
-    slope, tool = level(), TOOLS['blade']
-    slope.heights[:] = -0.26 * slope.middles[0][:, None]
+    slope, tool = level(grade=0.26), TOOLS['blade']
     path = [[0.0, y, 0.2] for y in np.arange(0.3, -0.04, -0.02)]
     passage, _ = walk(slope, tool, poses(path), rise=trench)
     assert passage.place.grade and sweep.all_cut(passage.state).any()
-    back = passage.state.foremost.max() - passage.state.tip[0]
+    back = passage.state.foremost.max() - passage.state.tip
     assert 0 <= back < 0.02
 
 
 def test_what_is_remembered_is_seen_from_a_new_ground():
     tool, soil = TOOLS['wheel'], level()
     passage, _ = walk(soil, tool, poses([[0.0, 0.08, 0.0], [0.1, 0.09, 0.1]]))
-    old = passage.state.memory[0]
+    old = passage.state.memory
     passage.state = passage.state._replace(
-        surface=passage.state.surface + 0.2 * (passage.state.origin[0] + sweep.GRID.offsets)
+        surface=passage.state.surface + 0.2 * (passage.state.origin + sweep.OFFSETS)
     )
     other = passage.renewed(poses([[0.1, 0.09, 0.1]])[0])
     assert other.place.grade == pytest.approx(0.2)
-    new = other.state.memory[0]
+    new = other.state.memory
     np.testing.assert_allclose(new[:, 2:], old[:, 2:])
     turned = (old[:, 0] + 1j * old[:, 1]) * np.exp(-1j * np.arctan(0.2))
     np.testing.assert_allclose(new[:, 0] + 1j * new[:, 1], turned)
 
 
 def test_ground_that_is_too_steep_as_a_whole_is_said():
-    slope = level()
-    slope.heights[:] = -0.25 * slope.middles[0][:, None]
-    passage = Passage(slope, TOOLS['blade'], poses([[0.0, 0.1, 0.0]])[0])
+    passage = Passage(level(grade=0.25), TOOLS['blade'], poses([[0.0, 0.1, 0.0]])[0])
     assert passage.place.grade == pytest.approx(0.25) and abs(passage.slope) < 1e-9
-    more = 0.05 * (passage.state.origin[0] + sweep.GRID.offsets)
+    more = 0.05 * (passage.state.origin + sweep.OFFSETS)
     passage.state = passage.state._replace(surface=passage.state.surface + more)
     assert passage.slope == pytest.approx(0.3 / (1 - 0.0125))
 
 
 @pytest.mark.parametrize('grade, bump', [(0.009, 0.0), (0.3, 0.0), (0.15, 0.03)])
 def test_a_slope_that_is_flat_steep_or_uneven_is_not_seen_as_level(grade, bump):
-    slope = level()
-    x = slope.middles[0][:, None]
-    slope.heights[:] = -grade * x + bump * np.exp(-((x + 0.3) ** 2) / 0.01)
+    slope = level(grade=grade)
+    slope.heights[:] += bump * np.exp(-((slope.middles[0][:, None] + 0.3) ** 2) / 0.01)
     passage = Passage(slope, TOOLS['blade'], poses([[0.0, 0.1, 0.0]])[0])
     assert passage.place.grade == passage.place.height == 0.0
     assert passage.slope == pytest.approx(grade, abs=0.03)
@@ -202,22 +200,21 @@ def test_a_frame_holds_place_speed_and_wall_in_units_of_the_field():
 def test_a_tool_is_set_down_from_above_or_stands_in_soil_as_it_is():
     first = poses([[0.1, -0.04, 0.2]])[0]
     fresh = Passage(scenes.hills(), TOOLS['blade'], first, set_down=False)
-    assert fresh.state.way.max() == 0 and not fresh.frame.bins[..., sweep.CUT].any()
+    assert fresh.state.way == 0 and not fresh.frame.bins[..., sweep.CUT].any()
     down = Passage(scenes.hills(), TOOLS['blade'], first, trench)
     s = down.state
-    circle = s.pose[0, 1] - np.sqrt(np.maximum(0.014**2 - sweep.GRID.offsets**2, 0.0))
-    wanted = np.where(np.abs(sweep.GRID.offsets) <= 0.014, np.minimum(s.surface, circle), s.surface)
+    circle = s.pose[1] - np.sqrt(np.maximum(0.014**2 - sweep.OFFSETS**2, 0.0))
+    wanted = np.where(np.abs(sweep.OFFSETS) <= 0.014, np.minimum(s.surface, circle), s.surface)
     np.testing.assert_allclose(s.profile, wanted, atol=1e-14)
-    straight = np.broadcast_to([0.0, -1.0, 0.0], (len(s.memory), 3))
-    np.testing.assert_allclose(s.memory[:, 0, :3], straight)
-    np.testing.assert_allclose(s.memory[:, 0, 3], s.way)  # in 1 s
-    assert s.surface.max() + 0.014 + 0.049 < s.way[0] - 0.04 < s.surface.max() + 0.1
+    np.testing.assert_allclose(s.memory[0, :3], [0.0, -1.0, 0.0])
+    np.testing.assert_allclose(s.memory[0, 3], s.way)  # in 1 s
+    assert s.surface.max() + 0.014 + 0.049 < s.way - 0.04 < s.surface.max() + 0.1
     before = down.terrain.heights.copy()
     down.update()
     assert (down.terrain.heights < before).any()
     # In the air it stays where it is.
     air = Passage(scenes.hills(), TOOLS['blade'], poses([[0.1, 0.5, 0.0]])[0])
-    assert air.state.way.max() == 0
+    assert air.state.way == 0
 
 
 def test_a_clone_remembers_alone():
@@ -268,20 +265,22 @@ def piled(share):
         half = passage.tool.width / passage.scale / 2
         beside = (np.abs(places[:, 1]) > half) & (np.abs(places[:, 1]) < 2 * half)
         s = passage.state
-        depth = (s.surface - s.profile)[len(s.tip) // 2]
-        depth = np.interp(places[:, 0], sweep.GRID.offsets, depth)
+        depth = (s.surface - s.profile)[len(s.profile) // 2]
+        depth = np.interp(places[:, 0], sweep.OFFSETS, depth)
         return np.where(beside, share * depth, cut)
 
     return rise
 
 
 @pytest.mark.parametrize('share', [0.6, 1.7])
-@pytest.mark.parametrize('even', [None, False])
-def test_soil_is_kept_on_a_way_of_any_length(tool, share, even):
+@pytest.mark.parametrize('strips', ['one', 'all'])
+def test_soil_is_kept_on_a_way_of_any_length(tool, share, strips, monkeypatch):
     """As much rises on both sides together as vanishes between, whatever the rise says."""
     soil, scale = level(), tool.scale
     path = path_of(tool, 0.0, 0.8) if tool.name == 'wheel' else path_of(tool, 0.0, 2.1)
-    passage, _ = walk(soil, tool, poses(path), rise=piled(share), even=even)
+    if strips == 'all':
+        monkeypatch.setattr(passage_lib, 'EVEN', -1.0)
+    passage, _ = walk(soil, tool, poses(path), rise=piled(share))
     passage.update()
     cell = np.prod(soil.cell)
     assert soil.heights.min() == pytest.approx(-0.03, abs=1e-9)
@@ -290,8 +289,8 @@ def test_soil_is_kept_on_a_way_of_any_length(tool, share, even):
     # Nothing is carried but what lies about the tool.
     if tool.name == 'blade':
         x, _ = soil.middles
-        local = -x[:, None] - passage.state.origin[0]
-        gone = np.broadcast_to(local < sweep.GRID.offsets[0], soil.heights.shape)
+        local = -x[:, None] - passage.state.origin
+        gone = np.broadcast_to(local < sweep.OFFSETS[0], soil.heights.shape)
         left = cell * soil.heights[gone].sum() / scale**3
         carried = passage.state.dropped.mean() + 0.03 * 0.005 * (passage.state.profile < 0)[0].sum()
         wanted = carried - left / (tool.width / scale) - passage.state.dropped.mean()
@@ -300,7 +299,7 @@ def test_soil_is_kept_on_a_way_of_any_length(tool, share, even):
 
 def test_a_lifted_tool_leaves_the_soil_as_it_is(tool):
     def rise(passage, places):
-        return trench(passage, places) * (1.0 - passage.state.pose[0, 1])
+        return trench(passage, places) * (1.0 - passage.state.pose[1])
 
     soil, over = level(), tool.radius / tool.scale + tool.lifted
     passage, _ = walk(soil, tool, poses(path_of(tool, 0.0, 0.4)), rise=rise)

@@ -7,7 +7,7 @@ from learning_to_simulate.soil_field import rollout as rollout_lib
 from learning_to_simulate.soil_field.stepper import SoilStepper
 from learning_to_simulate.soil_field.tools import Blade, Wheel
 from pca_tools import files
-from tests.learning_to_simulate.soil_field import worlds
+from tests.learning_to_simulate.soil_field import scenes, worlds
 from tests.learning_to_simulate.soil_field.scenes import DT
 
 
@@ -37,8 +37,7 @@ def test_particles_are_followed_from_before_the_tool():
     """They move as the soil does, across new anchors; the rest stays to the last bit."""
     run = worlds.run(11)
     live, points = stepper_of(run), run.particles[0]
-    followed = rollout_lib.Followed(live, run.pose[0], points)
-    found = rollout_lib.roll_out(live, run.pose, DT, followed=followed).particles
+    found = rollout_lib.roll_out(live, run.pose, DT, particles=points).particles
     assert found.shape == run.particles.shape and (found[0] == points.astype(np.float32)).all()
     off, moved = found[-1] - run.particles[-1], run.particles[-1] - points
     assert np.sqrt((off**2).mean()) < 0.6 * np.sqrt((moved**2).mean())
@@ -47,19 +46,16 @@ def test_particles_are_followed_from_before_the_tool():
     assert far.any() and np.abs(found[-1] - points)[far].max() < 2e-3
     # Each map of particles belongs to its frame, not to the one before.
     other = stepper_of(run)
-    by_hand = rollout_lib.Followed(other, run.pose[0], points)
-    other.start(run.pose[0])
+    other.start(run.pose[0], points)
     for pose in run.pose[1 : 6 * worlds.STRIDE + 1]:
-        place, _ = other.place, other.step(pose, DT)
-        if other.place is place:
-            by_hand.step(pose, DT)
-        else:
-            by_hand.begin(pose)
-    assert (found[6] == by_hand.points()).all() and (found[6] != found[5]).any()
+        other.step(pose, DT)
+    assert (found[6] == other.particles()).all() and (found[6] != found[5]).any()
     # A tool that turns in the air goes on elsewhere; particles stay where they are.
-    here = followed.points()
-    followed.begin(run.pose[-1])
-    assert (followed.points() == here).all()
+    here = live.particles()
+    live.step(run.pose[-1] + [0.0, 0.3, 0.0, 0.0, 0.0, 0.0, 0.0], 0.5)
+    before = live.place
+    live.step(scenes.poses([[0.5, 0.5, 0.0]], yaw=0.5)[0], 1.0)
+    assert live.place.origin is not before.origin and (live.particles() == here).all()
 
 
 def test_outlines_have_the_size_of_the_tool():

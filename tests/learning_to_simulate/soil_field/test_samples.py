@@ -24,10 +24,10 @@ def test_loads_are_in_the_axes_and_units_of_the_field():
 def test_drawn_places_stand_for_all():
     rng = np.random.default_rng(0)
     moves = np.arange(1000) < 130
-    chosen, stands = samples._drawn(rng, moves, 48)
+    chosen, stands = samples._drawn(rng, moves)
     assert len(set(chosen)) == 48 and moves[chosen].sum() == 24
     assert stands[moves[chosen]].sum() == pytest.approx(130) and stands.sum() == pytest.approx(1000)
-    few, stands = samples._drawn(rng, np.arange(1000) < 3, 48)
+    few, stands = samples._drawn(rng, np.arange(1000) < 3)
     assert stands.sum() == pytest.approx(1000) and np.isin([0, 1, 2], few).all()
 
 
@@ -37,7 +37,7 @@ def test_targets_are_what_the_run_shows():
     whole = samples.episode_of(run)
     passage = whole.passage
     t, places, rise = whole.risen[7]
-    cells = np.stack([-(places[:, 0] + passage.state.origin[0]), -places[:, 1]], axis=1)
+    cells = np.stack([-(places[:, 0] + passage.state.origin), -places[:, 1]], axis=1)
     index = np.rint((cells - worlds.CORNER) / worlds.CELL - 0.5).astype(int)
     now = run.heights[t // run.stride][index[:, 0], index[:, 1]]
     np.testing.assert_allclose(rise, now, atol=1e-12)  # the bed was level, at 0
@@ -69,7 +69,7 @@ def test_an_episode_from_the_middle_of_a_run():
     assert whole.settled.all() and len(part.frames.scalars) == len(run.pose) - 24
     np.testing.assert_array_equal(part.loads, whole.loads[24:])
     t, places, rise = part.risen[-1]
-    cells = np.stack([-(places[:, 0] + part.passage.state.origin[0]), -places[:, 1]], axis=1)
+    cells = np.stack([-(places[:, 0] + part.passage.state.origin), -places[:, 1]], axis=1)
     cells = cells + part.passage.place.origin[[0, 2]]
     index = np.rint((cells - worlds.CORNER) / worlds.CELL - 0.5).astype(int)
     risen = (run.heights[(24 + t) // run.stride] - run.heights[6])[index[:, 0], index[:, 1]]

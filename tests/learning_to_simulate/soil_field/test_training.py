@@ -22,7 +22,7 @@ def test_the_law_of_the_soil_is_learned():
     rise, still = [], []
     for t, places, found in risen[2:]:
         at = samples.sweep.Frame(frames.bins[t : t + 1], frames.scalars[t : t + 1])
-        seen = field.networks.compiled(1).rise(*at, *samples.placed(passage.strips, places))
+        seen = field.networks.compiled('rise', 1)(*at, *samples.placed(passage.strips, places))
         rise.append(((seen.numpy().mean(axis=0)[0] - found) ** 2).mean())
         still.append((found**2).mean())
     assert sum(rise) < 0.3 * sum(still)

@@ -1,5 +1,5 @@
 /* What a generated file of a soil field fills in. Letters and constants are those of `soil_field`: sweep.py,
- * strips.py, passage.py, network.py. */
+ * place.py, passage.py, network.py. */
 #ifndef LTS_SOIL_MODEL_H
 #define LTS_SOIL_MODEL_H
 

@@ -122,7 +122,7 @@ size_t lts_soil_size(const lts_soil_model *m, const lts_soil_tool *tool, const l
   return lay_out(m, tool, terrain, NULL, NULL) + LTS_ALIGNMENT - 1;
 }
 
-/* Scale, units, scalars and strips of the tool: `tools.py` and `strips.py`. */
+/* Scale, units, scalars and strips of the tool: `tools.py` and `place.py`. */
 static void fit_tool(lts_soil *soil) {
   const lts_soil_model *m = soil->model;
   const lts_soil_tool *t = &soil->tool;

@@ -1,5 +1,5 @@
 /* The ground: heights at places and of strips, and what a passage knows of its cells. Twin of
- * `soil_field/terrain.py`, `strips.py` and of the cells of `passage.py`. */
+ * `soil_field/terrain.py`, `place.py` and of the cells of `passage.py`. */
 #include <math.h>
 #include <string.h>
 
