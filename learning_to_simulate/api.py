@@ -200,7 +200,6 @@ class TrainedModel:
 
     def _of_run(self, run):
         from learning_to_simulate.live import paths
-        from learning_to_simulate.live.soil import Soil
 
         opened = self._opened(run.split)
         (group,) = (
@@ -209,8 +208,7 @@ class TrainedModel:
         )  # fmt: skip
         rollout = opened.evaluator.roll_out(group)
         decoder = self._decoder(run.split)
-        soils = [Soil(modes, decoder) for modes in rollout.position[0, :, group.n_rigid :]]
-        return paths.of_recorded_run(group, rollout, self.scene, soils, f'rollout_{run.name}')
+        return paths.of_recorded_run(group, rollout, self.scene, decoder, f'rollout_{run.name}')
 
     def _decoder(self, split):
         from learning_to_simulate.live.soil import Decoder
@@ -343,9 +341,9 @@ class TerrainModel(TrainedModel):
 
         stepper = self.stepper(terrain, tool)
         values = poses.numbers('path', path, (None, 7), (None, 3))
-        middle = terrain.corner[1] + terrain.cell[1] * terrain.shape[1] / 2
-        reader = poses.PoseReader(up_axis=1, lateral=float(middle))
-        return roll_out(stepper, [reader.read(p) for p in values], DT if dt is None else dt)
+        middle = float(terrain.corner[1] + terrain.cell[1] * terrain.shape[1] / 2)
+        whole = [poses.read_pose(p, up_axis=1, lateral=middle) for p in values]
+        return roll_out(stepper, whole, DT if dt is None else dt)
 
     def evaluate(self, split, progress=iter) -> Evaluation:
         """As of `TrainedModel`, of a split or of a list of splits of several datasets."""

@@ -2,14 +2,13 @@
 
 import dataclasses
 import json
-from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.evaluation import file_arrays, soil_of_run, total_force
-from learning_to_simulate.live import poses
+from learning_to_simulate.live import poses, soil
 from learning_to_simulate.live.starts import Start
 from learning_to_simulate.rollout_status import Judged, Judgement, RolloutStatus
 from learning_to_simulate.scene import RigidMotion, Scene
@@ -23,7 +22,7 @@ class SoilRollout(Judged):
 
     Attributes:
       history: float64 [H, V, 3], m: the given frames; R nodes of the body, then r modes.
-      soils: T' `live.soil.Soil`.
+      modes: float64 [T', r, 3] scores, m.
       force: float32 [T', 3], N, or None.
       judgement: the worst status, with the first frame in which it holds and the reason.
       frame_status: T' statuses: of each frame of a path alone; of a recorded run, from the first
@@ -35,10 +34,11 @@ class SoilRollout(Judged):
       name: for files and titles.
       soil_truth: `soil_truth.SoilTruth` of a recorded run, else None.
       sampled: float64 [F, P, 3], m: the predicted particles that it is compared with.
+      decoder: `live.soil.Decoder`; None without a subspace.
     """
 
     history: np.ndarray
-    soils: Any
+    modes: np.ndarray
     force: np.ndarray | None
     judgement: Judgement
     frame_status: tuple[RolloutStatus, ...]
@@ -48,11 +48,12 @@ class SoilRollout(Judged):
     name: str = 'rollout'
     soil_truth: SoilTruth | None = None
     sampled: np.ndarray | None = None
+    decoder: soil.Decoder | None = None
 
     torque = None  # none of these models predicts one
 
     def __len__(self) -> int:
-        return len(self.soils)
+        return len(self.modes)
 
     @property
     def soil_mm(self) -> float | None:
@@ -65,19 +66,14 @@ class SoilRollout(Judged):
         return self.scene.dt * np.arange(1, len(self) + 1)
 
     @property
-    def modes(self) -> np.ndarray:
-        """float64 [T', r, 3] scores, m."""
-        return np.stack([soil.modes for soil in self.soils])
-
-    @property
     def has_particles(self) -> bool:
-        return self.soils[0].has_particles
+        return self.decoder is not None
 
     def particles(self, frame: int | None = None) -> np.ndarray:
         """float32 [N, 3] of a frame, or [T', N, 3] of all, m; ValueError without a subspace."""
         if frame is None:
-            return np.stack([soil.particles() for soil in self.soils])
-        return self.soils[frame].particles()
+            return np.stack([self.particles(k) for k in range(len(self))])
+        return soil.known(self.decoder).particles(self.modes[frame])
 
     def save(self, path: str) -> None:
         """Writes an `.npz` that `render_rollout` reads, whole or not at all; DeepMind's key
@@ -149,18 +145,19 @@ def roll_out(stepper, path, velocity=None, case=None, context=None) -> SoilRollo
         force = np.array([frame.force for frame in frames], np.float32)
     return SoilRollout(
         history=history,
-        soils=[frame.soil for frame in frames],
+        modes=np.stack([frame.modes for frame in frames]),
         force=force,
         judgement=frames[-1].judgement,
         frame_status=tuple(frame.now.status for frame in frames),
         body=_whole_body(start, path, nodes, scene),
         scene=scene,
+        decoder=frames[0].decoder,
     )
 
 
-def of_recorded_run(group, rollout, scene, soils, name: str) -> SoilRollout:
+def of_recorded_run(group, rollout, scene, decoder, name: str) -> SoilRollout:
     """The rollout of a recorded run, with its truth: of a one-run `RunGroup`, its
-    `rollout.Rollout`, the scene of the model, and soils of its frames, see `live.soil`."""
+    `rollout.Rollout`, the scene of the model, and a `live.soil.Decoder` or None."""
     (judgement,) = rollout.judgements
     history = group.position[0, :H]
     true = group.all_particles(group.position, as_recorded=True)[0]
@@ -171,7 +168,7 @@ def of_recorded_run(group, rollout, scene, soils, name: str) -> SoilRollout:
     bad = np.arange(H, len(true)) >= (judgement.frame if judgement.frame >= 0 else len(true))
     return SoilRollout(
         history=history,
-        soils=soils,
+        modes=rollout.position[0, :, group.n_rigid :],
         force=None if rollout.force is None else total_force(rollout.force[0]),
         judgement=judgement,
         frame_status=tuple(judgement.status if x else RolloutStatus.OK for x in bad),
@@ -185,6 +182,7 @@ def of_recorded_run(group, rollout, scene, soils, name: str) -> SoilRollout:
         name=name,
         soil_truth=soil_truth,
         sampled=sampled,
+        decoder=decoder,
     )
 
 

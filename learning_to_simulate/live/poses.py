@@ -47,33 +47,23 @@ def numbers(name: str, values, *shapes: tuple) -> np.ndarray:
     return array
 
 
-class PoseReader:
-    """Reads poses of one scene; a body of the plane stands at `lateral` across it, m."""
-
-    def __init__(self, up_axis: int, lateral: float):
-        self._up, self._lateral = up_axis, lateral
-        self._drive = 0 if up_axis else 1
-        self._across = 3 - self._up - self._drive
-
-    def read(self, pose) -> np.ndarray:
-        """float64 [7] of a pose in any of its forms; ValueError for what is none."""
-        if isinstance(pose, (tuple, list)) and len(pose) == 2:
-            position, rotation = numbers('position', pose[0], (3,)), pose[1]
-            return np.concatenate([position, _unit(numbers('quaternion', rotation, (4,)))])
-        values = numbers('pose', pose, (7,), (3,))
-        if len(values) == 7:
-            return np.concatenate([values[:3], _unit(values[3:])])
-        position = np.zeros(3)
-        position[[self._drive, self._up, self._across]] = values[0], values[1], self._lateral
-        return np.concatenate([position, self._turned(values[2])])
-
-    def _turned(self, angle):
-        """Quaternion of a turn from the drive axis towards the height axis."""
-        turn = np.zeros(4)
-        # Axis x up = the axis across, but for its sign: (x, y, z) is right-handed.
-        sign = 1.0 if (self._up, self._across) in ((1, 2), (2, 0)) else -1.0
-        turn[0], turn[1 + self._across] = np.cos(angle / 2), sign * np.sin(angle / 2)
-        return turn
+def read_pose(pose, up_axis: int, lateral: float) -> np.ndarray:
+    """float64 [7] of a pose in any of its forms; a body of the plane stands at `lateral` across it,
+    m. ValueError for what is no pose."""
+    if isinstance(pose, (tuple, list)) and len(pose) == 2:
+        position, rotation = numbers('position', pose[0], (3,)), pose[1]
+        return np.concatenate([position, _unit(numbers('quaternion', rotation, (4,)))])
+    values = numbers('pose', pose, (7,), (3,))
+    if len(values) == 7:
+        return np.concatenate([values[:3], _unit(values[3:])])
+    drive = 0 if up_axis else 1
+    across = 3 - up_axis - drive
+    position, turn = np.zeros(3), np.zeros(4)
+    position[[drive, up_axis, across]] = values[0], values[1], lateral
+    # Axis x up = the axis across, but for its sign: (x, y, z) is right-handed.
+    sign = 1.0 if (up_axis, across) in ((1, 2), (2, 0)) else -1.0
+    turn[0], turn[1 + across] = np.cos(values[2] / 2), sign * np.sin(values[2] / 2)
+    return np.concatenate([position, turn])
 
 
 def read_velocity(velocity) -> np.ndarray:

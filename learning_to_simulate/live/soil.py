@@ -1,4 +1,4 @@
-"""The soil of a frame: its modes, its particles, the height of its surface."""
+"""The soil of a frame: from its modes to particles, and to the height of its surface."""
 
 import numpy as np
 
@@ -35,26 +35,14 @@ class Decoder:
         """float32 [..., N, D], m, of scores [..., r, D] (inverse PCA)."""
         return self._components @ np.asarray(modes, np.float32) + self._mean
 
-
-class Soil:
-    """The soil of a frame, float64 [r, D] scores (m); a decoder (None without a subspace) turns
-    them into particles when these are asked for."""
-
-    def __init__(self, modes, decoder: Decoder | None):
-        self.modes, self._decoder = modes, decoder
-
-    @property
-    def has_particles(self) -> bool:
-        return self._decoder is not None
-
-    def particles(self) -> np.ndarray:
-        """float32 [N, D], m; ValueError without a subspace."""
-        if self._decoder is None:
-            raise ValueError('particles need a subspace: the model has none')
-        return self._decoder.particles(self.modes)
-
-    def height_map(self, nx: int, nz: int) -> np.ndarray:
+    def height_map(self, modes, nx: int, nz: int) -> np.ndarray:
         """float32 [nx, nz] heights of the surface over the bed at rest, along the drive and across
         it, m: see `surface`."""
-        points, decoder = self.particles(), self._decoder
-        return surface(points, decoder.extent, decoder.up_axis, nx, nz)
+        return surface(self.particles(modes), self.extent, self.up_axis, nx, nz)
+
+
+def known(decoder: Decoder | None) -> Decoder:
+    """A decoder; ValueError without a subspace."""
+    if decoder is None:
+        raise ValueError('particles need a subspace: the model has none')
+    return decoder

@@ -249,7 +249,6 @@ class Start:
 
     Attributes:
       body, kept: particles of the body in its own frame, and which are nodes.
-      read: of `poses.PoseReader`.
       pose: float64 [7].
       velocity: float64 [6], m/s and rad/s.
       context: float64 [C] or None.
@@ -269,10 +268,13 @@ class Start:
             context = contexts[self._index]
         self.context = context
         self.body, self.kept = starts.body[self._index], starts.kept[self._index]
-        up = scene.up_axis
-        self.read = poses.PoseReader(up, starts.pose[self._index, 2 if up != 2 else 1]).read
         self.pose = starts.pose[self._index] if pose is None else self.read(pose)
         self.velocity = poses.read_velocity(velocity)
+
+    def read(self, pose) -> np.ndarray:
+        """float64 [7]: see `poses.read_pose`."""
+        up = self._scene.up_axis
+        return poses.read_pose(pose, up, self._starts.pose[self._index, 2 if up != 2 else 1])
 
     def nodes(self, pose) -> np.ndarray:
         """float64 [R, 3], m, at a pose."""

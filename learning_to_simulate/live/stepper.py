@@ -20,8 +20,7 @@ import tensorflow as tf
 
 from learning_to_simulate.axes import without_height
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
-from learning_to_simulate.live import poses
-from learning_to_simulate.live.soil import Decoder, Soil
+from learning_to_simulate.live import poses, soil
 from learning_to_simulate.live.starts import RecordedStart, Start, read_context
 from learning_to_simulate.rollout import corrected_step
 from learning_to_simulate.rollout_status import OK, Judgement, NodeRanges, RolloutStatus, worse
@@ -117,20 +116,22 @@ class Frame(NamedTuple):
     Attributes:
       judgement: how far it can be trusted: the worst since the start, with the frame in which that
         began and the reason.
-      soil: its modes, and particles where they are asked for.
+      modes: float64 [r, D] scores of the soil, m.
       rigid_pose: float64 [R, D] particles of the body that are nodes, m.
       pose: float64 [7], position (m) and quaternion (w, x, y, z) of the body; None where the body
         is given by its particles, or they do not fix one.
       force: [D] on the body, N, or [B, D] on several; None where the scene has no force.
       now: that of this frame alone.
+      decoder: turns modes into particles where they are asked for; None without a subspace.
     """
 
     judgement: Judgement
-    soil: Soil
+    modes: np.ndarray
     rigid_pose: np.ndarray
     pose: np.ndarray | None
     force: np.ndarray | None
     now: Judgement = OK
+    decoder: soil.Decoder | None = None
 
     def __repr__(self) -> str:
         values = [] if self.force is None else [f'{value:.4g}' for value in np.ravel(self.force)]
@@ -150,18 +151,13 @@ class Frame(NamedTuple):
     def reason(self) -> str:
         return self.judgement.reason
 
-    @property
-    def modes(self) -> np.ndarray:
-        """float64 [r, D] scores, m."""
-        return self.soil.modes
-
     def particles(self) -> np.ndarray:
         """float32 [N, D] positions of the soil, m; ValueError without a subspace."""
-        return self.soil.particles()
+        return soil.known(self.decoder).particles(self.modes)
 
     def height_map(self, nx: int, nz: int) -> np.ndarray:
-        """float32 [nx, nz] heights of the surface, m; see `soil.surface`."""
-        return self.soil.height_map(nx, nz)
+        """float32 [nx, nz] heights of the surface, m; see `soil.Decoder.height_map`."""
+        return soil.known(self.decoder).height_map(self.modes, nx, nz)
 
 
 class _Run(NamedTuple):
@@ -184,7 +180,7 @@ class Stepper:
       n_rigid: R of the first run; None for that of the first start.
       outside: what is done with a frame that is not `ok`: 'flag' goes on and says so; 'hold' stays
         in the frame before; 'raise' refuses it. A frame that is not finite never becomes the state.
-      make_step: makes the step of (model, R): `TfStep`, or `native.engines.CStep`.
+      make_step: makes the step of (model, R): `TfStep`, or `native.binding.CSubspace`.
 
     Raises:
       ValueError: an unknown `outside`, a subspace of another number of modes or particles than the
@@ -204,7 +200,7 @@ class Stepper:
         self.scene, self.starts, self.engine = model.simulator.scene, starts, 'TensorFlow'
         self._decoder = None
         if subspace is not None:
-            self._decoder = Decoder(model.fitting_subspace(subspace), self.scene.up_axis)
+            self._decoder = soil.Decoder(model.fitting_subspace(subspace), self.scene.up_axis)
         self._lock = threading.Lock()
         self._sizes: dict[int, tuple] = {}  # R -> step and ranges
         self._run: _Run | None = None
@@ -301,8 +297,8 @@ class Stepper:
             judgement = ranges.start(history[-1], start.context, before)
         self._size, body = n, history[-1, :n]
         force = self._by_body(np.zeros(self._model.simulator.force_size, np.float32))
-        soil = Soil(history[-1, n:], self._decoder)
-        frame = Frame(judgement, soil, body, start.pose, force, judgement)
+        modes, pose = history[-1, n:], start.pose
+        frame = Frame(judgement, modes, body, pose, force, judgement, self._decoder)
         self._run = _Run(start, frame, 0, body)
         return frame
 
@@ -370,9 +366,9 @@ class Stepper:
         for values in (position, force):
             if values is not None:
                 values.setflags(write=False)
-        soil, at = Soil(position[n:], self._decoder), self._pose(start, pose, position[:n])
-        so_far = worse(run.frame.judgement, alone)
-        return Frame(so_far, soil, position[:n], at, force, alone), body
+        nodes, modes = position[:n], position[n:]
+        at, so_far = self._pose(start, pose, nodes), worse(run.frame.judgement, alone)
+        return Frame(so_far, modes, nodes, at, force, alone, self._decoder), body
 
     def _by_body(self, force):
         """The force [F] as [D], or on several bodies [B, D]; None where there is none."""

@@ -4,8 +4,6 @@ TensorFlow, which then says why.
 C gives the frames of TensorFlow to round-off.
 """
 
-import numpy as np
-
 from learning_to_simulate.live.stepper import Stepper
 from learning_to_simulate.native import library
 from learning_to_simulate.native.binding import CSubspace
@@ -46,43 +44,8 @@ def stepper(model, starts=None, subspace=None, kind: str = BEST, **options) -> S
     return chosen(kind, lambda: by_c(model, starts, subspace, **options), by_tensorflow)
 
 
-class CStep(CSubspace):
-    """A step of `Stepper` by the C library: the same frames as `live.stepper.TfStep`."""
-
-    _before: 'CStep | None' = None  # the state that a proposal left behind
-    _is_proposed = False
-
-    def reset(self, history, context=None) -> None:
-        """As of `TfStep`."""
-        super().reset(history, context)
-        self._is_proposed = False
-
-    def propose(self, body, displacement, context=None):
-        """As of `TfStep`; the displacement is not needed: the library keeps the body of the last
-        frame."""
-        del displacement
-        if self._before is None:
-            self._before = self.another()
-        if self._is_proposed:
-            self.copy_state(self._before)
-        else:
-            self._before.copy_state(self)
-        self._is_proposed = True
-        frame = self.step(body, context)
-        return np.concatenate([frame.rigid_pose, frame.modes]), frame.force
-
-    def accept(self) -> None:
-        self._is_proposed = False
-
-    def clone(self) -> 'CStep':
-        """As of `TfStep`."""
-        other = self.another()
-        other.copy_state(self._before if self._is_proposed and self._before else self)
-        return other
-
-
-def by_c(model, starts, subspace, make=CStep.of, **options) -> Stepper:
-    """A stepper by C; `make` makes the `CStep` of (model, R)."""
+def by_c(model, starts, subspace, make=CSubspace.of, **options) -> Stepper:
+    """A stepper by C; `make` makes the `CSubspace` of (model, R)."""
     found = Stepper(model, starts, subspace, make_step=make, **options)
     found.engine = f'C ({found.computing.kernel})'
     return found

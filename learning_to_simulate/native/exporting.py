@@ -14,6 +14,7 @@ from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.live import starts as live_starts
 from learning_to_simulate.live.stepper import Stepper
 from learning_to_simulate.native import (
+    binding,
     engines,
     fmu,
     library,
@@ -71,8 +72,8 @@ class CModel:
 
         def make(*_):
             if library_path is not None:
-                return engines.CStep.open(library_path, self._name)
-            return engines.CStep.of(self._model, n, subspace=self._space)
+                return binding.CSubspace(binding.Loaded.open(library_path, self._name))
+            return binding.CSubspace.of(self._model, n, subspace=self._space)
 
         return [engines.by_c(*parts, make, n_rigid=n), Stepper(*parts, n)]
 
@@ -113,7 +114,7 @@ class CSoilField:
 
     def _compared(self, library_path):
         run = runs.read(self._data_path, 'test')[0]
-        loaded = soil_engine.Library.open(library_path, self._name)
+        loaded = binding.Loaded.open(library_path, self._name)
         grounds = [run.before() for _ in range(2)]
         pair = [
             soil_engine.CEngine(loaded, grounds[0], run.tool),
@@ -197,7 +198,7 @@ def over_frames(ours: Stepper, theirs: Stepper, group, limit: int | None = None)
         note('position', one, other, other - start)
         if frame.force is not None:
             note('force', mine.force, frame.force, frame.force)
-        if first.soil.has_particles and count % every == 0:
+        if first.decoder is not None and count % every == 0:
             # Steppers decode particles themselves: here those of the library count.
             points, drawn = frame.particles(), ours.computing.particles()
             note('particles', drawn, points, points - first.particles())

@@ -405,7 +405,7 @@ def _about(values):
 
 def _write_sources(folder, name, values, layout):
     project.write_sources(folder, name, values)
-    parts = ('fmu_core.h', 'fmu_core.c', f'fmu_{layout.kind}.h', f'fmu_{layout.kind}.c', 'fmi2.c')
+    parts = ('fmu_core.h', f'fmu_{layout.kind}.h', f'fmu_{layout.kind}.c', 'fmi2.c')
     for part in [*project.headers(values), *(f'fmi/{part}' for part in parts)]:
         project.copy(part, folder)
     project.write_template(

@@ -19,11 +19,9 @@ from pca_tools import files
 
 SOURCES = os.path.join(os.path.dirname(os.path.abspath(__file__)), 'c')
 FLAGS = ('-std=c99', '-O3', '-fPIC', '-shared', '-fvisibility=hidden')
+ZIG = [sys.executable, '-m', 'ziglang', 'cc']  # of the package `ziglang`
 
-_HEADERS = (
-    'include/lts.h', 'src/lts_model.h', 'src/lts_table.h', 'include/lts_soil.h',
-    'src/lts_soil_model.h',
-)  # fmt: skip
+_HEADERS = ('include/lts.h', 'src/lts_model.h', 'include/lts_soil.h', 'src/lts_soil_model.h')
 _NUMBERS = {
     'int': ctypes.c_int,
     'size_t': ctypes.c_size_t,
@@ -54,7 +52,7 @@ def compiler() -> list[str]:
         if path := shutil.which(name):
             return [path, *more]
     if not named and importlib.util.find_spec('ziglang'):
-        return [sys.executable, '-m', 'ziglang', 'cc']
+        return ZIG
     wanted = f'$CC is {named!r}, which' if named else 'none of cc, gcc and clang'
     raise NoCompiler(
         f'no C compiler: {wanted} is on the path; install one (apt '
@@ -62,9 +60,9 @@ def compiler() -> list[str]:
     )
 
 
-def compile_sources(output: str, *folders: str, flags=FLAGS) -> None:
+def compile_sources(output: str, *folders: str, flags=FLAGS, command=None) -> None:
     """Compiles all C files of folders with sources and headers into a shared library, whole or not
-    at all.
+    at all; by the `command` of a compiler, None for that of `compiler`.
 
     Raises:
       NoCompiler: there is none.
@@ -74,10 +72,10 @@ def compile_sources(output: str, *folders: str, flags=FLAGS) -> None:
     def build(name):
         include = [f'-I{folder}' for folder in folders]
         sources = sorted(path for folder in folders for path in glob.glob(f'{folder}/*.c'))
-        command = [*compiler(), *flags, *include, *sources, '-o', name, '-lm']
-        done = subprocess.run(command, capture_output=True, text=True)
+        whole = [*(command or compiler()), *flags, *include, *sources, '-o', name, '-lm']
+        done = subprocess.run(whole, capture_output=True, text=True)
         if done.returncode:
-            raise CompileFailed(f'{shlex.join(command)} failed:\n{done.stderr[-2000:]}')
+            raise CompileFailed(f'{shlex.join(whole)} failed:\n{done.stderr[-2000:]}')
 
     files.write_atomically(output, build)
 

@@ -30,7 +30,7 @@ _SOIL_TEMPLATES = {
     'examples/ros2_soil.cpp.in': 'examples/ros2_node.cpp',
 }
 # Sources of both kinds of models; those of soil fields alone begin with `lts_soil`.
-_SHARED = ('lts_common', 'lts_kernels', 'lts_model.', 'lts_table')
+_SHARED = ('lts_common', 'lts_kernels', 'lts_model.')
 
 
 def is_soil(values: dict) -> bool:

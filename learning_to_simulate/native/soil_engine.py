@@ -8,8 +8,8 @@ import weakref
 
 import numpy as np
 
-from learning_to_simulate.native import c_values, engines, library, soil_data
-from learning_to_simulate.native.binding import KERNELS
+from learning_to_simulate.native import engines, library, soil_data
+from learning_to_simulate.native.binding import Instance, Loaded
 from learning_to_simulate.rollout_status import OK, Judgement, RolloutStatus
 from learning_to_simulate.soil_field import engine, passage
 from learning_to_simulate.soil_field.place import Place, place_of
@@ -21,29 +21,9 @@ def of(field, terrain, tool, members: int | None = None, kind: str = engines.BES
     """The engine of a `SoilStepper`; arguments and errors as there."""
     return engines.chosen(
         kind,
-        lambda: CEngine(Library.of(soil_data.values(field)), terrain, tool, members),
+        lambda: CEngine(Loaded.of(soil_data.values(field)), terrain, tool, members),
         lambda why: engine.TfEngine(field, terrain, tool, members, why),
     )
-
-
-class Library:
-    """A soil field in a shared library; arguments as of `binding.CSubspace`."""
-
-    def __init__(self, loaded: ctypes.CDLL, model: int, kernel: str = 'best', data=None):
-        self.c, self.model, self._data = loaded, model, data
-        self.kernel = library.constants()[f'LTS_{kernel.upper()}']
-
-    @classmethod
-    def of(cls, values: dict, kernel: str = 'best') -> 'Library':
-        """Of `soil_data.values`, by the library of this machine."""
-        data = c_values.Structure('lts_soil_model', values)
-        return cls(library.load(), ctypes.addressof(data.value), kernel, data)
-
-    @classmethod
-    def open(cls, path: str, symbol: str) -> 'Library':
-        """The model of a name `lts_...` in a library that an exported project built."""
-        loaded = library.declared(ctypes.CDLL(path))
-        return cls(loaded, ctypes.addressof(ctypes.c_char.in_dll(loaded, symbol)))
 
 
 def ground_of(terrain):
@@ -61,28 +41,21 @@ def ground_of(terrain):
     return _GROUNDS[terrain]
 
 
-class _Instance:
-    """A tool in memory of its own, of a `Library` and what `SoilStepper` takes."""
+class _Tool(Instance):
+    """A tool in C, of a `Loaded` model and what `SoilStepper` takes."""
 
-    def __init__(self, loaded: Library, terrain, tool, members):
-        self.loaded, self.terrain, self.tool, self._members = loaded, terrain, tool, members
-        self._ground, c = ground_of(terrain), loaded.c
+    _prefix = 'lts_soil'
+
+    def __init__(self, loaded: Loaded, terrain, tool, members):
+        self.terrain, self.tool, self._members = terrain, tool, members
+        self._ground = ground_of(terrain)
         form = library.structures()['lts_soil_tool'](*library.tool_numbers(tool))
-        given = loaded.model, ctypes.addressof(form), ctypes.addressof(self._ground)
-        memory, soil = np.empty(max(c.lts_soil_size(*given), 1), np.uint8), ctypes.c_void_p()
-        at = memory.ctypes.data, memory.nbytes, loaded.kernel
-        self.check(c.lts_soil_init(*given, *at, ctypes.byref(soil)))
-        self.soil = soil.value
+        super().__init__(loaded, ctypes.addressof(form), ctypes.addressof(self._ground))
         # The library writes into heights of the ground and reads the model until the tool leaves.
-        weakref.finalize(self, _close, c, self.soil, memory, self._ground, loaded)
+        kept = self._memory, self._ground, loaded
+        weakref.finalize(self, _close, loaded.c, self.soil, *kept)
         if members is not None:
             self.call('members', members)
-
-    def check(self, code):
-        """Raises ValueError for a code that is an error of lts.h, in its words."""
-        if code < 0:
-            raise ValueError(self.loaded.c.lts_error_text(code).decode())
-        return code
 
     def settle(self, pose=None):
         """Lets tools that the library does not know write what they have done, before a step to the
@@ -91,11 +64,6 @@ class _Instance:
             pose is None or self.terrain.is_crowded(self) or self.call('reads', pose)
         ):
             _ = self.terrain.heights
-
-    def call(self, name, *values):
-        """Calls a function `lts_soil_<name>`; arrays are given by their addresses."""
-        given = [x.ctypes.data if isinstance(x, np.ndarray) else x for x in values]
-        return self.check(getattr(self.loaded.c, f'lts_soil_{name}')(self.soil, *given))
 
     @property
     def place(self) -> Place:
@@ -121,13 +89,12 @@ def _close(c, soil, *kept):
     c.lts_soil_close(soil)
 
 
-class CEngine(_Instance):
-    """Frames by C, of a `Library` and what `SoilStepper` takes; ValueError for a kernel that this
-    machine lacks."""
+class CEngine(_Tool):
+    """Frames by C, of a `Loaded` model and what `SoilStepper` takes; raises as `Instance`."""
 
-    def __init__(self, loaded: Library, terrain, tool, members=None):
+    def __init__(self, loaded: Loaded, terrain, tool, members=None):
         super().__init__(loaded, terrain, tool, members)
-        self.name = f'C ({KERNELS[self.call("kernel")]})'
+        self.name = f'C ({self.kernel})'
         # Every step uses the same memory: an address costs a microsecond.
         self._pose, self._result = np.empty(7), library.structures()['lts_soil_result']()
         self._at = self._pose.ctypes.data, ctypes.addressof(self._result)
@@ -138,7 +105,7 @@ class CEngine(_Instance):
         self._last = None  # pose
         self._passage = -1
         self._place: Place | None = None
-        self._of = {name: getattr(loaded.c, f'lts_soil_{name}') for name in ('step', 'propose')}
+        self._of = {name: self.function(name) for name in ('step', 'propose')}
         terrain.add_work(self)
 
     @property
@@ -243,11 +210,11 @@ class CEngine(_Instance):
         return CAnchor.at(self, pose, set_down)
 
 
-class CAnchor(_Instance):
+class CAnchor(_Tool):
     """How far particles have moved since a passage began, as `engine.TfAnchor`."""
 
     @classmethod
-    def at(cls, other: _Instance, pose, set_down: bool) -> 'CAnchor':
+    def at(cls, other: _Tool, pose, set_down: bool) -> 'CAnchor':
         found = cls(other.loaded, other.terrain, other.tool, other._members)
         found.settle()
         found.call('anchor', np.array(pose, np.float64), int(set_down))

@@ -14,8 +14,6 @@ import importlib.util
 import json
 import os
 import pathlib
-import subprocess
-import sys
 import tempfile
 import webbrowser
 
@@ -40,7 +38,7 @@ def is_available() -> bool:
 
 def compile_model(name: str, values: dict) -> bytes:
     """The WebAssembly of a soil field, of `project.symbol` and `soil_data.values`; ValueError where
-    no compiler is there or it fails: with its words."""
+    no compiler is there, or as `library.compile_sources`."""
     if not is_available():
         raise ValueError(f'there is no compiler for WebAssembly, which a page needs: {MISSING}')
     from learning_to_simulate.native import project  # loads TensorFlow
@@ -51,16 +49,10 @@ def compile_model(name: str, values: dict) -> bytes:
             project.copy(part, folder)
         header = f'#include "lts_soil.h"\nextern const lts_soil_model {name};\n'
         pathlib.Path(folder, f'{name}.h').write_text(header, encoding='utf-8')
-        wasm = pathlib.Path(folder, 'soil.wasm')
-        sources = sorted(map(str, pathlib.Path(folder).glob('*.c')))
-        done = subprocess.run(
-            [sys.executable, '-m', 'ziglang', 'cc', *TARGET, f'-DLTS_MODEL={name}', f'-I{folder}',
-             *sources, '-o', str(wasm)],
-            capture_output=True, text=True,
-        )  # fmt: skip
-        if done.returncode:
-            raise ValueError(f'the model cannot be compiled for a page: {done.stderr[-2000:]}')
-        return wasm.read_bytes()
+        wasm = os.path.join(folder, 'soil.wasm')
+        flags = *TARGET, f'-DLTS_MODEL={name}'
+        library.compile_sources(wasm, folder, flags=flags, command=library.ZIG)
+        return pathlib.Path(wasm).read_bytes()
 
 
 def ghost(run) -> dict:

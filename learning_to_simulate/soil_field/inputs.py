@@ -26,7 +26,7 @@ import tensorflow as tf
 
 from learning_to_simulate.soil_field import sweep
 
-# Squashes of t = (operand - shift) / scale; the constants LTS_SQUASH_<NAME> of lts_table.h.
+# Squashes of t = (operand - shift) / scale; the constants LTS_SQUASH_<NAME> of lts_soil_model.h.
 SQUASHES: dict[str, Callable] = {
     'plain': lambda t: t,
     'tanh': tf.tanh,

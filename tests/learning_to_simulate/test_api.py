@@ -143,7 +143,7 @@ def test_jump_zeros_and_force_are_flagged_in_every_later_frame(blade):
 )
 def test_what_is_no_pose_is_refused(pose, message):
     with pytest.raises(ValueError, match=message):
-        poses.PoseReader(1, 0.4).read(pose)
+        poses.read_pose(pose, 1, 0.4)
 
 
 def test_frames_cannot_be_written_to_and_one_thread_at_a_time(blade):
@@ -202,14 +202,13 @@ def test_predicted_body_takes_no_pose_and_says_where_it_is(tmp_path):
 
 
 def test_poses_in_all_forms_and_planes():
-    reader = poses.PoseReader(1, 0.4)
     turn = np.array([np.cos(0.1), 0, 0, np.sin(0.1)])
-    flat = reader.read((0.8, 0.3, 0.2))
+    flat = poses.read_pose((0.8, 0.3, 0.2), 1, 0.4)
     np.testing.assert_allclose(flat, [0.8, 0.3, 0.4, *turn])
-    np.testing.assert_allclose(reader.read(((0.8, 0.3, 0.4), turn)), flat)
+    np.testing.assert_allclose(poses.read_pose(((0.8, 0.3, 0.4), turn), 1, 0.4), flat)
     # The drive axis turns towards the height axis, whichever that is.
     for drive, up, across in ((0, 1, 2), (0, 2, 1), (1, 0, 2)):
-        values = poses.PoseReader(up, 0.4).read((0.8, 0.3, np.pi / 2))
+        values = poses.read_pose((0.8, 0.3, np.pi / 2), up, 0.4)
         matrix = poses.rotation_matrix(values[3:])
         np.testing.assert_allclose(matrix @ np.eye(3)[drive], np.eye(3)[up], atol=1e-12)
         assert values[[drive, up, across]].tolist() == [0.8, 0.3, 0.4]

@@ -44,7 +44,8 @@ class _Slave:
     def __init__(self, path, folder, name='one', **inputs):
         description = fmpy.read_model_description(path)
         self.vr = {v.name: v.valueReference for v in description.modelVariables}
-        self.body, self.logged = _body(self.vr), []
+        is_tool = any(name.startswith('tool_state') for name in self.vr)
+        self.body, self.logged = 'tool' if is_tool else 'wheel', []
         self.c = fmi2.FMU2Slave(
             guid=description.guid,
             unzipDirectory=fmpy.extract(path, unzipdir=str(folder)),
@@ -87,10 +88,6 @@ class _Slave:
     def free(self):
         self.c.terminate()
         self.c.freeInstance()
-
-
-def _body(names):
-    return 'tool' if any(name.startswith('tool_state') for name in names) else 'wheel'
 
 
 def test_is_valid_and_simulates(shared, tmp_path):

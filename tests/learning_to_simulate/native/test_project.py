@@ -16,7 +16,7 @@ from learning_to_simulate.export import __main__ as export_command
 from learning_to_simulate.export import exporting
 from learning_to_simulate.native import exporting as c_exporting
 from learning_to_simulate.native import library, project
-from learning_to_simulate.native.binding import CSubspace
+from learning_to_simulate.native.binding import CSubspace, Loaded
 from tests.learning_to_simulate import models
 from tests.learning_to_simulate.native import worlds
 
@@ -35,6 +35,10 @@ def _run(command, **options):
     return done.stdout
 
 
+def opened(path, symbol):
+    return CSubspace(Loaded.open(path, symbol))
+
+
 @pytest.fixture(scope='module')
 def small(tmp_path_factory):
     """C values of a small model."""
@@ -50,7 +54,7 @@ def saved(tmp_path_factory):
 def test_generated_constants_give_the_same_bits_as_those_of_python(tmp_path):
     model, group, _, values = worlds.graph(tmp_path / 'data', motion='driven', context=True)
     built = _compiled(worlds.written(tmp_path / 'project', 'lts_small', values))
-    soils = CSubspace.open(built, 'lts_small'), CSubspace.of(model, group.n_rigid)
+    soils = opened(built, 'lts_small'), CSubspace.of(model, group.n_rigid)
     for soil in soils:
         soil.reset(group.position[0, :6], group.context[0])
     for pose in group.position[0, 6:, : group.n_rigid]:
@@ -60,7 +64,7 @@ def test_generated_constants_give_the_same_bits_as_those_of_python(tmp_path):
     assert soils[0].description.digest.decode() == values['digest']
     for path, symbol in (('none.so', 'lts_small'), (built, 'lts_other')):
         with pytest.raises(ValueError, match='no library of the model'):
-            CSubspace.open(path, symbol)
+            opened(path, symbol)
 
 
 @pytest.mark.skipif(not shutil.which('cmake'), reason='no CMake')
@@ -98,7 +102,7 @@ def test_two_models_live_in_one_program(small, tmp_path):
     shutil.copy(f'{two}/src/lts_two.c', f'{one}/src')
     shutil.copy(f'{two}/include/lts_two.h', f'{one}/include')
     built = _compiled(one)
-    soils = [CSubspace.open(built, name) for name in ('lts_one', 'lts_two')]
+    soils = [opened(built, name) for name in ('lts_one', 'lts_two')]
     for soil in soils:
         worlds.started(soil)
     with pytest.raises(ValueError, match='saved state'):
@@ -154,7 +158,7 @@ def test_names_of_models_are_not_those_of_the_library(small, tmp_path):
     assert all(re.fullmatch('lts_[0-9a-f]{8}', name) for name in names[len(taken) :])
     folder = worlds.written(tmp_path / 'project', names[0], small)
     built = _compiled(folder)
-    assert CSubspace.open(built, names[0]).description.digest.decode() == small['digest']
+    assert opened(built, names[0]).description.digest.decode() == small['digest']
 
 
 def test_without_a_compiler_the_library_says_what_is_missing(tmp_path, monkeypatch):

@@ -10,7 +10,7 @@ import pytest
 
 from learning_to_simulate.live.poses import turned
 from learning_to_simulate.native import library, soil_data, soil_engine
-from learning_to_simulate.native.binding import KERNELS
+from learning_to_simulate.native.binding import KERNELS, Loaded
 from learning_to_simulate.soil_field import sweep
 from learning_to_simulate.soil_field.field import CONDITIONS
 from learning_to_simulate.soil_field.stepper import SoilStepper
@@ -227,7 +227,7 @@ def test_every_kernel_gives_the_same():
     for kernel in KERNELS:
         terrain = hills()
         try:
-            loaded = soil_engine.Library.of(soil_data.values(field()), kernel)
+            loaded = Loaded.of(soil_data.values(field()), kernel)
             c = soil_engine.CEngine(loaded, terrain, BLADE)
         except ValueError:
             continue
@@ -578,7 +578,7 @@ def test_a_tool_that_goes_leaves_its_cut_and_the_terrain():
 
 
 def test_tools_and_terrains_that_cannot_be_are_refused():
-    loaded = soil_engine.Library.of(soil_data.values(field()))
+    loaded = Loaded.of(soil_data.values(field()))
     good = types.SimpleNamespace(width=0.3, radius=0.01, length=0.2)
     soil_engine.CEngine(loaded, flat(), good)
     for change in ({'width': 0.0}, {'radius': np.nan}, {'length': -1.0}, {'bucket': 0.5}):

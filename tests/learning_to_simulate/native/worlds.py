@@ -11,7 +11,6 @@ import pytest
 from learning_to_simulate.live import poses
 from learning_to_simulate.live import starts as live_starts
 from learning_to_simulate.native import library, model_data, project
-from learning_to_simulate.rollout_status import OK, Judgement, RolloutStatus
 from learning_to_simulate.soil_field import training
 from learning_to_simulate.soil_field.settings import SoilFieldConfig
 from pca_tools import subspace
@@ -89,19 +88,3 @@ def started(soil, start: int = 0, pose=None, twist=None, context=None):
 def step_at(soil, pose):
     """The next frame of a `CSubspace` that was started so, at a pose [7]."""
     return soil._newest(soil.call('frame_at', pose, ctypes.byref(soil._result)))
-
-
-def judged(soil) -> Judgement:
-    """The worst since the start of a `CSubspace`, as lts_judge and lts_reason say it."""
-    found, c = library.structures()['lts_judgement'](), library.constants()
-    soil.call('judge', ctypes.byref(found))
-    if not found.status:
-        return OK
-    status = RolloutStatus.EXTRAPOLATING
-    if found.status & c['LTS_LEFT_BOUNDS']:
-        status = RolloutStatus.LEFT_BOUNDS
-    if found.status & c['LTS_NON_FINITE']:
-        status = RolloutStatus.NON_FINITE
-    text = ctypes.create_string_buffer(200)
-    soil.call('reason', text, len(text))
-    return Judgement(status, found.frame, found.node, text.value.decode())

@@ -1,5 +1,6 @@
 /* FMI 2.0 co-simulation. Written against the standard's text; the types and functions are declared here,
  * so that no header has to be fetched. */
+#include <math.h>
 #include <stddef.h>
 #include <string.h>
 
@@ -70,10 +71,19 @@ static fmi2Status refuse(component *c, fmi2String text) {
   return fmi2Error;
 }
 
-/* What a function of the core says. */
+/* What a function of the model says. */
 static fmi2Status done(component *c, const char *wrong) { return wrong ? refuse(c, wrong) : fmi2OK; }
 
 /* ---- life ---- */
+
+static const double first_values[N_REAL] = FMU_FIRST;
+static const unsigned char kinds[N_REAL] = FMU_KINDS;
+
+static void make_default(fmu_core *core) {
+  memset(&core->v, 0, sizeof core->v);
+  memcpy(core->v.real, first_values, sizeof first_values);
+  fmu_clear(core);
+}
 
 FMI2_EXPORT const char *FMI2(fmi2GetTypesPlatform)(void) { return "default"; }
 FMI2_EXPORT const char *FMI2(fmi2GetVersion)(void) { return "2.0"; }
@@ -113,7 +123,7 @@ FMI2_EXPORT fmi2Component FMI2(fmi2Instantiate)(fmi2String name, fmi2Type type, 
     call->freeMemory(block);
     return NULL;
   }
-  fmu_defaults(&c->core);
+  make_default(&c->core);
   return c;
 }
 
@@ -153,12 +163,17 @@ FMI2_EXPORT fmi2Status FMI2(fmi2SetupExperiment)(fmi2Component instance, fmi2Boo
 
 FMI2_EXPORT fmi2Status FMI2(fmi2EnterInitializationMode)(fmi2Component instance) {
   OPEN(c);
-  return done(c, fmu_initialise(&c->core));
+  if (c->core.v.now != FMU_CREATED) return refuse(c, "the initialisation is entered twice");
+  c->core.v.now = FMU_INITIALISING;
+  return fmi2OK;
 }
 
 FMI2_EXPORT fmi2Status FMI2(fmi2ExitInitializationMode)(fmi2Component instance) {
   OPEN(c);
-  return done(c, fmu_start_stepping(&c->core));
+  if (c->core.v.now != FMU_INITIALISING) return refuse(c, "the initialisation is left out of turn");
+  const char *wrong = fmu_begin(&c->core);
+  if (!wrong) c->core.v.now = FMU_STEPPING;
+  return done(c, wrong);
 }
 
 FMI2_EXPORT fmi2Status FMI2(fmi2Terminate)(fmi2Component instance) {
@@ -169,25 +184,43 @@ FMI2_EXPORT fmi2Status FMI2(fmi2Terminate)(fmi2Component instance) {
 
 FMI2_EXPORT fmi2Status FMI2(fmi2Reset)(fmi2Component instance) {
   OPEN(c);
-  fmu_defaults(&c->core);
+  make_default(&c->core);
   return fmi2OK;
 }
 
 /* ---- variables ---- */
 
-FMI2_EXPORT fmi2Status FMI2(fmi2GetReal)(fmi2Component instance, const fmi2ValueReference vr[],
-                                         size_t n, fmi2Real value[]) {
-  OPEN_VALUES(c);
-  return done(c, fmu_get_reals(&c->core, vr, n, value));
+static const char *get_real(fmu_core *core, fmi2ValueReference vr, double *value) {
+  if (vr >= N_REAL) return "no real variable of this value reference";
+  if (kinds[vr] == FMU_OUTPUT) {
+    const char *wrong = fmu_begin_early(core);
+    if (wrong) return wrong;
+    if (core->v.begun) fmu_show(core, vr);
+  }
+  *value = core->v.real[vr];
+  return NULL;
+}
+
+/* Whether a real can be set, and to a value. */
+static const char *check_real(const fmu_core *core, fmi2ValueReference vr, double value) {
+  const int kind = vr < N_REAL ? kinds[vr] : FMU_NONE;
+  if (kind != FMU_INPUT && kind != FMU_PARAMETER) return "this real variable cannot be set";
+  if (kind == FMU_PARAMETER && core->v.now >= FMU_STEPPING) return FMU_TOO_LATE;
+  return isfinite(value) ? NULL : "an input or parameter is not finite";
 }
 
 FMI2_EXPORT fmi2Status FMI2(fmi2SetReal)(fmi2Component instance, const fmi2ValueReference vr[],
                                          size_t n, const fmi2Real value[]) {
   OPEN_VALUES(c);
-  return done(c, fmu_set_reals(&c->core, vr, n, value));
+  const char *wrong = NULL;
+  for (size_t i = 0; i < n && !wrong; ++i) wrong = check_real(&c->core, vr[i], value[i]);
+  if (wrong) return refuse(c, wrong); /* none is set */
+  for (size_t i = 0; i < n; ++i) c->core.v.real[vr[i]] = value[i];
+  if (c->core.v.now < FMU_STEPPING) c->core.v.begun = 0;
+  return fmi2OK;
 }
 
-/* Functions of several variables, by one of the core for each. */
+/* Functions of several variables, by one for each. */
 #define EACH(name, type, call)                                                                        \
   FMI2_EXPORT fmi2Status FMI2(name)(fmi2Component instance, const fmi2ValueReference vr[], size_t n,  \
                                     type value[]) {                                                   \
@@ -196,6 +229,7 @@ FMI2_EXPORT fmi2Status FMI2(fmi2SetReal)(fmi2Component instance, const fmi2Value
     for (size_t i = 0; i < n && !wrong; ++i) wrong = call;                                            \
     return done(c, wrong);                                                                            \
   }
+EACH(fmi2GetReal, fmi2Real, get_real(&c->core, vr[i], &value[i]))
 EACH(fmi2GetInteger, fmi2Integer, fmu_get_integer(&c->core, vr[i], &value[i]))
 EACH(fmi2SetInteger, const fmi2Integer, fmu_set_integer(&c->core, vr[i], value[i]))
 EACH(fmi2GetBoolean, fmi2Boolean, fmu_get_boolean(&c->core, vr[i], &value[i]))
@@ -208,7 +242,11 @@ EACH(fmi2SetString, const fmi2String, "no string variable can be set")
 FMI2_EXPORT fmi2Status FMI2(fmi2DoStep)(fmi2Component instance, fmi2Real time, fmi2Real h,
                                         fmi2Boolean no_set_state) {
   OPEN(c);
-  return done(c, fmu_step(&c->core, time, h));
+  if (c->core.v.now != FMU_STEPPING) return refuse(c, "a step before the end of the initialisation");
+  if (!(h > 0.0) || !isfinite(time)) return refuse(c, "the step has no positive length");
+  const char *wrong = fmu_go(&c->core, h);
+  if (!wrong) c->core.v.time = time + h;
+  return done(c, wrong);
 }
 
 FMI2_EXPORT fmi2Status FMI2(fmi2CancelStep)(fmi2Component instance) {

@@ -1,10 +1,10 @@
-/* What an FMU is apart from the standard: variables, life, steps and states around the C interface of a model.
- * fmi2.c puts the functions of the standard around it; fmu_graph.c or fmu_soil.c is the model. Functions return
- * null, or what is wrong. */
+/* What fmi2.c, the functions of the standard, asks of a model: fmu_graph.c or fmu_soil.c, around the C interface.
+ * Functions return null, or what is wrong. */
 #ifndef FMU_CORE_H
 #define FMU_CORE_H
 
 #include <stddef.h>
+#include <string.h>
 
 #include "fmu_model.h" /* generated: the model, its GUID, its numbers of variables, and FMU_LAYOUT */
 
@@ -66,17 +66,28 @@ size_t fmu_state_size(const fmu_core *core);
 const char *fmu_write_state(fmu_core *core, void *bytes);
 const char *fmu_read_state(fmu_core *core, const void *bytes, size_t size);
 
-/* ---- fmu_core.c ---- */
-const char *fmu_initialise(fmu_core *core);
-const char *fmu_start_stepping(fmu_core *core);
-const char *fmu_step(fmu_core *core, double time, double h);
-void fmu_defaults(fmu_core *core);
-const char *fmu_get_reals(fmu_core *core, const unsigned *vr, size_t n, double *value);
-const char *fmu_set_reals(fmu_core *core, const unsigned *vr, size_t n, const double *value);
-/* Whether a parameter may still be set, and a value is a number. */
-const char *fmu_check_set(const fmu_core *core, int is_parameter, double value);
-/* Pose of a body whose inputs are reals from `inputs` on, and its velocity. */
-lts_pose fmu_pose(const double *inputs);
-lts_twist fmu_twist(const double *inputs);
+/* ---- what models share ---- */
+#define FMU_TOO_LATE "a fixed parameter is set after the initialisation"
+
+/* Starts the model for whoever looks at an output before the first step. */
+static inline const char *fmu_begin_early(fmu_core *core) {
+  return core->v.now == FMU_INITIALISING ? fmu_begin(core) : NULL;
+}
+
+/* Pose of a body whose inputs are reals from `inputs` on, at the beginning of a communication step, and its
+ * velocity. A model wants the coming pose: the velocity leads to it. */
+static inline lts_pose fmu_pose(const double *inputs) {
+  lts_pose pose;
+  memcpy(pose.position, inputs + VR_POSITION, sizeof pose.position);
+  memcpy(pose.rotation, inputs + VR_ROTATION, sizeof pose.rotation);
+  return pose;
+}
+
+static inline lts_twist fmu_twist(const double *inputs) {
+  lts_twist twist;
+  memcpy(twist.linear, inputs + VR_LINEAR, sizeof twist.linear);
+  memcpy(twist.angular, inputs + VR_ANGULAR, sizeof twist.angular);
+  return twist;
+}
 
 #endif

@@ -109,9 +109,8 @@ const char *fmu_get_integer(fmu_core *c, unsigned vr, int *value) {
 }
 
 const char *fmu_set_integer(fmu_core *c, unsigned vr, int start) {
-  const char *wrong = fmu_check_set(c, 1, start);
   if (vr) return "no integer variable of this value reference";
-  if (wrong) return wrong;
+  if (c->v.now >= FMU_STEPPING) return FMU_TOO_LATE;
   if (start < -1 || start >= described().n_start) return "the model has no such start";
   c->v.own.start = start;
   c->v.begun = 0;
@@ -121,7 +120,7 @@ const char *fmu_set_integer(fmu_core *c, unsigned vr, int start) {
 const char *fmu_get_boolean(fmu_core *c, unsigned which, int *value) {
   static const int bits[N_BOOLEAN] = {0, LTS_EXTRAPOLATING, LTS_LEFT_BOUNDS, LTS_NON_FINITE};
   if (which >= N_BOOLEAN) return "no Boolean variable of this value reference";
-  const char *wrong = c->v.now == FMU_INITIALISING ? fmu_begin(c) : NULL;
+  const char *wrong = fmu_begin_early(c);
   *value = which ? (c->v.own.told & bits[which]) != 0 : !c->v.own.told;
   return wrong;
 }

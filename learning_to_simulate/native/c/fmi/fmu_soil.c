@@ -232,7 +232,7 @@ void fmu_clear(fmu_core *c) {
 static const char *newest(fmu_core *c, int tool, lts_soil_result *result) {
   memset(result, 0, sizeof *result);
   result->worst.axis = -1;
-  const char *wrong = c->v.now == FMU_INITIALISING ? fmu_begin(c) : NULL;
+  const char *wrong = fmu_begin_early(c);
   if (!wrong && c->v.begun) lts_soil_newest(c->model.soil[tool], result);
   return wrong;
 }

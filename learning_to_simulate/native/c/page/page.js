@@ -17,7 +17,7 @@ class Page {
   constructor(exports, scene) {
     this.machine = new Machine(exports); this.scene = scene;
     this.toolName = Object.keys(TOOLS)[0]; this.preset = ''; this.script = null; this.ghost = null;
-    this.paused = false; this.keys = new Set(); this.times = []; this.work = []; this.said = ''; this.recording = null; this.frame = 0;
+    this.paused = false; this.keys = new Set(); this.times = []; this.said = ''; this.recording = null; this.frame = 0;
     $('loaded').checked = isWheel;
     if (isWheel) scene.azimuth = -0.8;  // from behind: the rut lies in front
     this.buttons(); this.sliders(); this.steering(); this.legend();
@@ -261,15 +261,15 @@ class Page {
 
   // Frames come as the screen asks; the model keeps to the clock, at most two steps behind.
   turn(now) {
-    const gone = now - (this.before || now), start = performance.now();
+    const gone = now - (this.before || now);
     this.before = now;
     this.late = Math.min((this.late || 0) + gone / 1000, 2.5 * DT);
     if (this.paused) this.late = 0;
     while (this.late >= DT * 0.98) { this.late -= DT; this.advance(DT); }
     this.draw();
     if (!(this.count = ((this.count || 0) + 1) % 4) || this.paused) this.show();
-    if (gone > 0) { this.times.push(gone); this.work.push(performance.now() - start); }
-    if (this.times.length > 240) { this.times.shift(); this.work.shift(); }
+    if (gone > 0) this.times.push(gone);
+    if (this.times.length > 240) this.times.shift();
     if (this.count === 0 && this.times.length > 30) this.pace();
   }
 
@@ -282,13 +282,13 @@ class Page {
     this.tuned = performance.now();
     if (t.median > 19) this.scene.quality = Math.max(0.4, 0.8 * quality);
     else if (t.median < 17.2 && t.high < 20 && quality < 1) this.scene.quality = Math.min(1, 1.1 * quality);
-    if (this.scene.quality !== quality) { this.times = []; this.work = []; }
+    if (this.scene.quality !== quality) this.times = [];
   }
 
-  // ms: median and 99 % of the last frames, and of the work in them.
+  // ms: median and 99 % of the last frames.
   frameTimes() {
-    const at = (list, share) => [...list].sort((a, b) => a - b)[Math.min(list.length - 1, Math.floor(share * list.length))];
-    return { median: at(this.times, 0.5), high: at(this.times, 0.99), work: at(this.work, 0.5), workHigh: at(this.work, 0.99), frames: this.times.length, quality: this.scene.quality };
+    const sorted = [...this.times].sort((a, b) => a - b), n = sorted.length;
+    return { median: sorted[Math.floor(0.5 * n)], high: sorted[Math.floor(0.99 * n)] };
   }
 }
 

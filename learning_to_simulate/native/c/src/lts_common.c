@@ -5,7 +5,11 @@
 #include <stdio.h>
 #include <string.h>
 
-#define LARGEST_GRID 65536
+int lts_check(const void *instance) {
+  if (!instance) return LTS_ERROR_NULL;
+  if ((uintptr_t)instance % LTS_ALIGNMENT) return LTS_ERROR_MEMORY;
+  return *(const uint32_t *)instance == LTS_MAGIC ? LTS_OK : LTS_ERROR_MEMORY;
+}
 
 size_t lts_aligned(size_t n, size_t to) { return (n + to - 1) / to * to; }
 
@@ -19,15 +23,6 @@ int lts_all_finite(const double *values, size_t n) {
 void lts_centroid(const double *points, int n, double out[3]) {
   out[0] = out[1] = out[2] = 0.0;
   for (int i = 0; i < 3 * n; ++i) out[i % 3] += points[i] / n;
-}
-
-double lts_far(const double *one, const double *other, const double *scale, int n) {
-  double far = 0.0;
-  for (int i = 0; i < n; ++i) {
-    const double d = (one[i] - other[i]) / scale[i];
-    far += d * d;
-  }
-  return far;
 }
 
 const char *lts_error_text(int error) {
@@ -58,18 +53,11 @@ void lts_rotate(const double q[4], const double v[3], double out[3]) {
   memcpy(out, rotated, sizeof rotated);
 }
 
-int lts_unit_quaternion(const double q[4], double out[4]) {
-  const double length = sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]);
-  if (!(length > 1e-6 && length < 1e6)) return 0;
-  for (int i = 0; i < 4; ++i) out[i] = q[i] / length;
-  return 1;
-}
-
 int lts_usable_pose(const lts_pose *pose, lts_pose *out) {
-  lts_pose unit = *pose;
-  if (!lts_all_finite(pose->position, 3)) return 0;
-  if (!lts_unit_quaternion(pose->rotation, unit.rotation)) return 0;
-  *out = unit;
+  const double *q = pose->rotation, length = sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]);
+  if (!lts_all_finite(pose->position, 3) || !(length > 1e-6 && length < 1e6)) return 0;
+  *out = *pose;
+  for (int i = 0; i < 4; ++i) out->rotation[i] /= length;
   return 1;
 }
 
@@ -90,33 +78,6 @@ void lts_moved_pose(const lts_pose *pose, const lts_twist *twist, double seconds
   };
   for (int i = 0; i < 3; ++i) out->position[i] = pose->position[i] + twist->linear[i] * seconds;
   memcpy(out->rotation, turned, sizeof turned);
-}
-
-/* ---- height maps ---- */
-
-int lts_check_grid(const lts_grid *grid) {
-  for (int i = 0; i < 2; ++i) {
-    if (grid->n[i] < 1 || grid->n[i] > LARGEST_GRID || !isfinite(grid->origin[i])) {
-      return LTS_ERROR_VALUE;
-    }
-  }
-  return grid->cell > 0.0 && grid->cell <= 1e6 ? LTS_OK : LTS_ERROR_VALUE;
-}
-
-void lts_clear_heights(const lts_grid *grid, float *out) {
-  const size_t n = (size_t)grid->n[0] * (size_t)grid->n[1];
-  for (size_t i = 0; i < n; ++i) out[i] = NAN;
-}
-
-void lts_raise_heights(const lts_grid *grid, int up, const float *points, int n, float *out) {
-  const int first = up == 0 ? 1 : 0, second = up == 2 ? 1 : 2;
-  for (int i = 0; i < n; ++i, points += 3) {
-    const double u = (points[first] - grid->origin[0]) / grid->cell;
-    const double v = (points[second] - grid->origin[1]) / grid->cell;
-    if (!(u >= 0.0 && u < grid->n[0] && v >= 0.0 && v < grid->n[1])) continue;
-    float *cell = out + (size_t)u * (size_t)grid->n[1] + (size_t)v;
-    if (!(*cell >= points[up])) *cell = points[up];
-  }
 }
 
 /* ---- reasons ---- */
@@ -160,10 +121,10 @@ static uint64_t checksum_of(const void *bytes, size_t size) {
   return sum;
 }
 
-static saved header_of(uint32_t magic, const char *digest, const void *state, size_t n) {
+static saved header_of(const char *digest, const void *state, size_t n) {
   saved header;
   memset(&header, 0, sizeof header);
-  header.magic = magic;
+  header.magic = LTS_MAGIC;
   header.abi = LTS_ABI;
   header.size = n;
   header.checksum = checksum_of(state, n);
@@ -171,19 +132,18 @@ static saved header_of(uint32_t magic, const char *digest, const void *state, si
   return header;
 }
 
-int lts_write_state(uint32_t magic, const char *digest, const void *state, size_t n, void *bytes,
-                    size_t size) {
+int lts_write_state(const char *digest, const void *state, size_t n, void *bytes, size_t size) {
   if (!bytes) return LTS_ERROR_NULL;
   if (size < LTS_HEADER_SIZE + n) return LTS_ERROR_MEMORY;
-  const saved header = header_of(magic, digest, state, n);
+  const saved header = header_of(digest, state, n);
   memcpy(bytes, &header, sizeof header);
   memmove((char *)bytes + LTS_HEADER_SIZE, state, n); /* it may lie there already */
   return LTS_OK;
 }
 
-int lts_check_state(uint32_t magic, const char *digest, const void *bytes, size_t size, size_t n) {
+int lts_check_state(const char *digest, const void *bytes, size_t size, size_t n) {
   if (!bytes) return LTS_ERROR_NULL;
   if (size < LTS_HEADER_SIZE + n) return LTS_ERROR_STATE;
-  const saved wanted = header_of(magic, digest, (const char *)bytes + LTS_HEADER_SIZE, n);
+  const saved wanted = header_of(digest, (const char *)bytes + LTS_HEADER_SIZE, n);
   return memcmp(bytes, &wanted, sizeof wanted) ? LTS_ERROR_STATE : LTS_OK;
 }

@@ -1,7 +1,10 @@
 /* From modes to particles and heights. */
+#include <math.h>
+
 #include "lts_internal.h"
 
 #define CHUNK 64 /* particles at once; a multiple of every vector */
+#define LARGEST_GRID 65536
 
 int lts_modes(const lts_instance *soil, double *out) {
   LTS_TRY(lts_check_started(soil));
@@ -40,18 +43,32 @@ int lts_particles(const lts_instance *soil, float *out, size_t count) {
   return LTS_OK;
 }
 
+/* Whether a grid has cells, and not too many. */
+static int is_usable(const lts_grid *grid) {
+  for (int i = 0; i < 2; ++i) {
+    if (grid->n[i] < 1 || grid->n[i] > LARGEST_GRID || !isfinite(grid->origin[i])) return 0;
+  }
+  return grid->cell > 0.0 && grid->cell <= 1e6;
+}
+
 int lts_height_map(const lts_instance *soil, const lts_grid *grid, float *out) {
   LTS_TRY(lts_check_started(soil));
   if (!grid || !out) return LTS_ERROR_NULL;
   const int n = soil->model->n_soil, up = soil->model->up_axis;
   if (!n) return LTS_ERROR_CALL;
-  LTS_TRY(lts_check_grid(grid));
-  lts_clear_heights(grid, out);
+  if (!is_usable(grid)) return LTS_ERROR_VALUE;
+  for (size_t i = 0; i < (size_t)grid->n[0] * (size_t)grid->n[1]; ++i) out[i] = NAN;
   for (int done = 0; done < n; done += CHUNK) {
     float points[3 * CHUNK];
     const int last = done + CHUNK < n ? done + CHUNK : n;
     soil->run->decode(soil->model, mode_offsets(soil), done, last, points);
-    lts_raise_heights(grid, up, points, last - done, out);
+    for (const float *at = points; at < points + 3 * (last - done); at += 3) {
+      const double u = (at[up == 0 ? 1 : 0] - grid->origin[0]) / grid->cell;
+      const double v = (at[up == 2 ? 1 : 2] - grid->origin[1]) / grid->cell;
+      if (!(u >= 0.0 && u < grid->n[0] && v >= 0.0 && v < grid->n[1])) continue;
+      float *cell = out + (size_t)u * (size_t)grid->n[1] + (size_t)v;
+      if (!(*cell >= at[up])) *cell = at[up];
+    }
   }
   return LTS_OK;
 }

@@ -5,7 +5,6 @@
 #include "lts_common.h"
 #include "lts_kernels.h"
 
-#define LTS_MAGIC 0x4c545331u /* of an instance */
 #define LTS_TILE_ROWS 48      /* rows that go through an MLP at once: they stay in the first cache */
 #define LTS_CHANGES (LTS_HISTORY - 1)
 
@@ -54,12 +53,7 @@ struct lts_instance {
   double *history; /* [6][V][3] of a start, or the points of a pose */
 };
 
-/* Sizes in one place: both lts_size and lts_init walk the same list. */
-size_t lts_lay_out(const lts_model *model, char *base, lts_instance *soil);
-size_t lts_state_bytes(const lts_model *model);
-
-/* Whether `soil` is an instance; whether it has been started. */
-int lts_check(const lts_instance *soil);
+/* Whether `soil` is an instance that has been started. */
 int lts_check_started(const lts_instance *soil);
 
 static inline int lts_n_node(const lts_model *m) { return m->n_rigid + m->n_modes; }

@@ -44,7 +44,11 @@ static int nearest_start(const lts_model *m, const double *context) {
   int best = 0;
   double least = HUGE_VAL;
   for (int start = 0; context && start < m->n_start; ++start) {
-    const double far = lts_far(context, m->starts[start].context, m->context_std, m->n_context);
+    double far = 0.0;
+    for (int i = 0; i < m->n_context; ++i) {
+      const double d = (context[i] - m->starts[start].context[i]) / m->context_std[i];
+      far += d * d;
+    }
     if (far < least) best = start;
     if (far < least) least = far;
   }

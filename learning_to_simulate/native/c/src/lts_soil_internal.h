@@ -6,8 +6,8 @@
 #include "lts_kernels.h"
 #include "lts_soil_model.h"
 
-#define LTS_SOIL_MAGIC 0x4c545331u
 #define LTS_SOIL_ROWS 5
+#define LTS_SOIL_OF_STRIP 5
 #define LTS_SOIL_LANES 48 /* places that go through a network at once: they stay in the first cache */
 
 /* The vertical plane of a passage: origin, and level unit vectors, x and z of each; m; rise of its ground per way,
@@ -52,8 +52,7 @@ typedef struct {
   int32_t strip[3][LTS_SOIL_LANES];
   float share[3][LTS_SOIL_LANES];
   float here[LTS_SOIL_CHANNELS][LTS_SOIL_LANES];
-  float area[LTS_SOIL_LANES], foremost[LTS_SOIL_LANES], carried[LTS_SOIL_LANES], layer[LTS_SOIL_LANES];
-  float pressed[LTS_SOIL_LANES];
+  float of_strip[LTS_SOIL_OF_STRIP][LTS_SOIL_LANES]; /* scalars that differ from strip to strip */
   float gate[LTS_SOIL_LANES];
   size_t which[LTS_SOIL_LANES];
   int knows_tool; /* whether the inputs of all lanes hold what one strip shows of the tool */
@@ -89,21 +88,19 @@ struct lts_soil {
   double *under, *fresh, *first, *second; /* [n_bin], [strips][n_bin], [n_bin], [n_bin] */
   /* places, and rows on their way through a network. */
   lts_places *places;
-  int32_t widest, unused_widest; /* of all layers */
-  float *inputs, *sides, *a, *b, *bias, *out, *loads; /* loads [M][6] */
+  float *inputs, *sides, *bias, *out, *loads; /* loads [M][6] */
+  float *a, *rows[2]; /* a: first layer of the load, of all members; rows: of the layers behind, in turn */
 };
 
 #define LTS_SOIL_ROW(soil, strip) ((size_t)(strip) * (size_t)(soil)->model->n_bin)
 
 /* lts_soil_state.c. */
-int lts_soil_check(const lts_soil *soil);
 int lts_soil_check_started(const lts_soil *soil);
 
 /* lts_soil_place.c. */
 int lts_soil_unit_pose(const lts_pose *pose, lts_pose *out);
 int lts_place_of(const lts_pose *pose, lts_place *out);
 void lts_place_local(const lts_place *place, const double point[3], double out[3]);
-void lts_place_vector(const lts_place *place, const double vector[3], double out[3]);
 /* `Place.laid` and `unlaid`; from and to may be one. */
 void lts_place_laid(const lts_place *place, const double local[3], double out[3]);
 void lts_place_unlaid(const lts_place *place, const double vector[3], double out[3]);
@@ -145,6 +142,8 @@ void lts_soil_advance(lts_soil *soil, lts_passage *p, const double pose[3], doub
 void lts_soil_make_frame(lts_soil *soil, const lts_passage *p, int all);
 
 /* lts_soil_passage.c: begins, goes on, copies. */
+/* Of the strips under a tool: the first, and how many there are. */
+int lts_soil_under(const lts_soil *soil, const lts_passage *p, int *first);
 /* From one strip to all of them. */
 int lts_soil_n_strip(const lts_soil *soil);
 void lts_soil_take_all_strips(const lts_soil *soil, lts_passage *p);
@@ -162,7 +161,9 @@ int lts_soil_is_over(const lts_soil *soil, const lts_passage *p);
 /* Whether its way is long, or its ground has another grade, and its tool has just cut farther than before. */
 int lts_soil_is_due(const lts_soil *soil, const lts_passage *p);
 
-/* lts_soil_table.c: inputs [n][ld] of places. offsets count from `base`; `other` are neighbours of strips, or null. */
+/* lts_soil_table.c: which scalars differ from strip to strip; others are equal. */
+void lts_soil_scalars_of_strip(const lts_soil_model *model, int out[LTS_SOIL_OF_STRIP]);
+/* Inputs [n][ld] of places. offsets count from `base`; `other` are neighbours of strips, or null. */
 void lts_soil_inputs(const lts_soil *soil, const lts_table *table, const lts_places *places,
                      int n_strip, const float *base, const int32_t *other, float *out, int ld);
 /* Where channels are read: at u of a strip, or between two. */
@@ -176,7 +177,9 @@ float lts_soil_channel(const lts_soil *soil, int channel, const lts_spot *spot);
 /* Of one channel: both at once. */
 float lts_soil_channel_at(const lts_soil *soil, int channel, int n_strip, int strip, float share, float u);
 
-/* lts_soil_load.c: loads [members][6] of a passage; whether any is not 0. */
+/* lts_soil_load.c: one member of a network from x [rows, stride ldx] to `soil->out` [rows][LTS_PANEL]. */
+void lts_soil_run(const lts_soil *soil, const lts_soil_network *net, int member, const float *x, int ldx, int rows);
+/* Loads [members][6] of a passage; whether any is not 0. */
 int lts_soil_find_loads(lts_soil *soil, const lts_passage *p, int members, float *out);
 /* Height of the lowest part of a tool in the newest frame; the share of the load that acts on it: (22). */
 double lts_soil_lowest_part(const lts_soil *soil);

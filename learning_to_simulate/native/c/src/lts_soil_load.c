@@ -35,6 +35,18 @@ static void strip_load(const lts_soil_model *m, const float *out, double share, 
   load[3] = load[1] * out[3];
 }
 
+void lts_soil_run(const lts_soil *soil, const lts_soil_network *net, int member, const float *x, int ldx,
+                  int rows) {
+  const lts_dense *layer = net->layers + member * net->n_layer;
+  for (int i = 0; i < net->n_layer; ++i, ++layer) {
+    const int last = i + 1 == net->n_layer;
+    float *to = last ? soil->out : soil->rows[i % 2];
+    soil->run->dense(layer, x, ldx, rows, to, layer->columns, last ? LTS_NORMED : LTS_SILU, NULL, NULL);
+    x = to;
+    ldx = layer->columns;
+  }
+}
+
 /* Sums over strips of the outputs [K][n_side] rows of one member: (12). */
 static void sum_loads(const lts_soil *soil, const float *rows, int count, int n_side, const float *kappa,
                       float *out) {
@@ -63,13 +75,14 @@ static void sum_loads(const lts_soil *soil, const float *rows, int count, int n_
 int lts_soil_find_loads(lts_soil *soil, const lts_passage *p, int members, float *out) {
   const lts_soil_model *m = soil->model;
   const lts_kernels *run = soil->run;
-  const int several = p->s.n_strip > 1, n_side = several ? 2 : 1;
-  const int count = several ? m->n_column : 1, under = several ? m->n_beside : 0;
+  int under;
+  const int count = lts_soil_under(soil, p, &under), several = p->s.n_strip > 1, n_side = several ? 2 : 1;
   const int rows = count * n_side, width = m->load_own.columns / m->n_member;
   lts_places *at = soil->places;
   float kappa[LTS_SOIL_STRIPS], base[2 * LTS_SOIL_STRIPS];
   int32_t other[2 * LTS_SOIL_STRIPS];
-  int touches = 0;
+  int touches = 0, of_strip[LTS_SOIL_OF_STRIP];
+  lts_soil_scalars_of_strip(m, of_strip);
   lts_soil_make_frame(soil, p, 0);
   for (int k = 0; k < count; ++k) {
     kappa[k] = contact(soil, under + k);
@@ -85,11 +98,7 @@ int lts_soil_find_loads(lts_soil *soil, const lts_passage *p, int members, float
       const int k = pass ? i / n_side : i;
       at->strip[0][i] = under + k;
       at->share[0][i] = 0.0f;
-      at->area[i] = soil->scalars[under + k][LTS_SOIL_AREA];
-      at->foremost[i] = soil->scalars[under + k][LTS_SOIL_FOREMOST];
-      at->carried[i] = soil->scalars[under + k][LTS_SOIL_OF_PASSAGE(m, CARRIED)];
-      at->layer[i] = soil->scalars[under + k][LTS_SOIL_OF_PASSAGE(m, LAYER)];
-      at->pressed[i] = soil->scalars[under + k][LTS_SOIL_OF_PASSAGE(m, PRESSED)];
+      for (int s = 0; s < LTS_SOIL_OF_STRIP; ++s) at->of_strip[s][i] = soil->scalars[under + k][of_strip[s]];
       other[i] = !several ? 0 : i % 2 ? under + k + 1 : under + k - 1;
       base[i] = soil->scalars[0][LTS_SOIL_TIP];
     }
@@ -105,19 +114,7 @@ int lts_soil_find_loads(lts_soil *soil, const lts_passage *p, int members, float
                soil->a + k * n_side * own.columns, own.columns, LTS_SILU, NULL, NULL);
   }
   for (int member = 0; member < members; ++member) {
-    const lts_dense *layers = m->after.layers + member * m->after.n_layer;
-    const float *x = soil->a + member * width;
-    float *y = soil->b, *other_y = soil->b + rows * soil->widest;
-    int ldx = own.columns;
-    for (int i = 0; i < m->after.n_layer; ++i) {
-      const int last = i + 1 == m->after.n_layer;
-      float *to = last ? soil->out : y;
-      run->dense(&layers[i], x, ldx, rows, to, layers[i].columns, last ? LTS_NORMED : LTS_SILU, NULL,
-                 NULL);
-      x = to;
-      ldx = layers[i].columns;
-      y = y == soil->b ? other_y : soil->b;
-    }
+    lts_soil_run(soil, &m->after, member, soil->a + member * width, own.columns, rows);
     sum_loads(soil, soil->out, count, n_side, kappa, out + 6 * member);
   }
   return touches;
@@ -143,7 +140,8 @@ static void place_under(const void *of, size_t k, double out[3]) {
 
 double lts_soil_contact(lts_soil *soil, const lts_passage *p) {
   const lts_soil_model *m = soil->model;
-  const int several = p->s.n_strip > 1, under = several ? m->n_beside : 0, count = several ? m->n_column : 1;
+  int under;
+  const int count = lts_soil_under(soil, p, &under);
   const double tip = soil->scalars[0][LTS_SOIL_TIP], reach = m->under_along[LTS_SOIL_UNDER_ALONG - 1];
   const int begin = (int)fmax((tip - reach) / m->spacing + m->n_behind - 1.0, 0.0);
   const int end = (int)fmin((tip + reach) / m->spacing + m->n_behind + 2.0, (double)m->n_bin);

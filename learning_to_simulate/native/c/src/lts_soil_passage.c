@@ -19,8 +19,7 @@ static void seen_pose(const lts_soil *soil, const lts_place *place, const lts_po
   out[2] = turns[0] - atan(place->grade);
 }
 
-/* Of the strips under a tool: the first, and how many there are. */
-static int under_tool(const lts_soil *soil, const lts_passage *p, int *first) {
+int lts_soil_under(const lts_soil *soil, const lts_passage *p, int *first) {
   const int several = p->s.n_strip > 1;
   *first = several ? soil->model->n_beside : 0;
   return several ? soil->model->n_column : 1;
@@ -28,7 +27,7 @@ static int under_tool(const lts_soil *soil, const lts_passage *p, int *first) {
 
 static double foremost_of(const lts_soil *soil, const lts_passage *p) {
   int first;
-  const int count = under_tool(soil, p, &first);
+  const int count = lts_soil_under(soil, p, &first);
   double foremost = -HUGE_VAL;
   for (int j = first; j < first + count; ++j) foremost = fmax(foremost, p->s.foremost[j]);
   return foremost;
@@ -39,7 +38,7 @@ static double foremost_of(const lts_soil *soil, const lts_passage *p) {
 static int lifts(const lts_soil *soil, const lts_passage *p, const double seen[3]) {
   const lts_soil_model *m = soil->model;
   int first;
-  const int count = under_tool(soil, p, &first);
+  const int count = lts_soil_under(soil, p, &first);
   const double bottom = seen[1] - soil->radius, middle = (seen[0] - p->s.origin) / m->spacing + m->n_behind;
   const int begin = (int)fmax(middle - m->under / m->spacing, 0.0);
   const int end = (int)fmin(middle + m->under / m->spacing + 2.0, (double)m->n_bin);
@@ -137,17 +136,26 @@ int lts_soil_is_due(const lts_soil *soil, const lts_passage *p) {
   return p->s.way > soil->model->renewed_after || lts_soil_lay(soil, p, soil->model->relaid, &other);
 }
 
-/* Reads all bins; says whether heights are finite. */
-static int read_all(const lts_soil *soil, lts_passage *p) {
+/* Puts the bins of a passage about a pose that its place sees at `seen`, with one strip as long as `looks` finds the
+ * ground even (once off, it stays off), and reads them; LTS_ERROR_VALUE: heights that are not finite. */
+static int read_about(const lts_soil *soil, lts_passage *p, const lts_pose *pose, double seen[3]) {
+  const lts_soil_model *m = soil->model;
+  lts_way *w = &p->s;
+  seen_pose(soil, &w->place, pose, seen);
+  w->origin = seen[0];
+  for (int k = 0; w->looks && k < m->n_bin; ++k) {
+    w->looks = is_even(soil, &w->place, seen[0] + lts_soil_offset(m, k));
+  }
+  w->n_strip = w->looks ? 1 : lts_soil_n_strip(soil);
   for (int j = 0; j < p->s.n_strip; ++j) {
     for (int k = 0; k < soil->model->n_bin; ++k) {
       const double u = p->s.origin + lts_soil_offset(soil->model, k);
       const double height = lts_soil_read(soil, soil->terrain, &p->s.place, p->s.n_strip, j, u);
-      if (!isfinite(height)) return 0;
+      if (!isfinite(height)) return LTS_ERROR_VALUE;
       p->surface[LTS_SOIL_ROW(soil, j) + (size_t)k] = height;
     }
   }
-  return 1;
+  return LTS_OK;
 }
 
 int lts_soil_begin(lts_soil *soil, lts_passage *p, const lts_pose *pose, int set_down, const lts_place *place) {
@@ -160,23 +168,9 @@ int lts_soil_begin(lts_soil *soil, lts_passage *p, const lts_pose *pose, int set
   else if (!lts_place_of(pose, &w->place)) return LTS_ERROR_VALUE;
   lts_terrain_update(soil->terrain);
   double first[3], sum = 0.0, highest = -HUGE_VAL;
-  seen_pose(soil, &w->place, pose, first);
-  w->origin = first[0];
   w->looks = m->n_column > 1;
-  for (int k = 0; w->looks && k < m->n_bin; ++k) {
-    w->looks = is_even(soil, &w->place, first[0] + lts_soil_offset(m, k));
-  }
-  w->n_strip = w->looks ? 1 : lts_soil_n_strip(soil);
-  if (!read_all(soil, p)) return LTS_ERROR_VALUE;
-  if (!place && lts_soil_lay(soil, p, m->flat, &w->place)) {
-    seen_pose(soil, &w->place, pose, first);
-    w->origin = first[0];
-    for (int k = 0; w->looks && k < m->n_bin; ++k) {
-      w->looks = is_even(soil, &w->place, first[0] + lts_soil_offset(m, k));
-    }
-    w->n_strip = w->looks ? 1 : lts_soil_n_strip(soil);
-    if (!read_all(soil, p)) return LTS_ERROR_VALUE;
-  }
+  LTS_TRY(read_about(soil, p, pose, first));
+  if (!place && lts_soil_lay(soil, p, m->flat, &w->place)) LTS_TRY(read_about(soil, p, pose, first));
   memcpy(w->pose, first, sizeof first);
   for (size_t i = 0; i < LTS_SOIL_ROW(soil, w->n_strip); ++i) {
     sum += p->surface[i];

@@ -43,13 +43,6 @@ void lts_place_local(const lts_place *place, const double point[3], double out[3
   local_vector(place, from, out);
 }
 
-void lts_place_vector(const lts_place *place, const double v[3], double out[3]) {
-  const double along = v[0], up = v[1], across = v[2];
-  out[0] = along * place->along[0] + across * place->across[0];
-  out[1] = up;
-  out[2] = along * place->along[1] + across * place->across[1];
-}
-
 void lts_place_laid(const lts_place *place, const double local[3], double out[3]) {
   const double c = place->cosine, s = place->grade * c, u = local[0], over = local[1] - place->height;
   out[0] = c * u + s * over;
@@ -59,8 +52,10 @@ void lts_place_laid(const lts_place *place, const double local[3], double out[3]
 
 void lts_place_unlaid(const lts_place *place, const double v[3], double out[3]) {
   const double c = place->cosine, s = place->grade * c;
-  const double level[3] = {c * v[0] - s * v[1], s * v[0] + c * v[1], v[2]};
-  lts_place_vector(place, level, out);
+  const double along = c * v[0] - s * v[1], up = s * v[0] + c * v[1], across = v[2];
+  out[0] = along * place->along[0] + across * place->across[0];
+  out[1] = up;
+  out[2] = along * place->along[1] + across * place->across[1];
 }
 
 void lts_place_turns(const lts_place *place, const lts_pose *pose, double out[3]) {

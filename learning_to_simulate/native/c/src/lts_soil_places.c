@@ -23,20 +23,13 @@ static int take(const lts_soil *soil, const lts_passage *p, int is_surface, cons
   const float influence = lts_soil_channel(soil, LTS_SOIL_INFLUENCE, &spot);
   float gate = influence * stirred * across;
   if (!(gate > 0.0f)) return 0;
-  const float disturbed = lts_soil_channel(soil, LTS_SOIL_DISTURBED, &spot);
-  const float surface = lts_soil_channel(soil, LTS_SOIL_SURFACE, &spot);
   if (!is_surface) {
-    const float deep = disturbed + m->below - (surface - y);
+    const float disturbed = lts_soil_channel(soil, LTS_SOIL_DISTURBED, &spot);
+    const float deep = disturbed + m->below - (lts_soil_channel(soil, LTS_SOIL_SURFACE, &spot) - y);
     gate *= clip(deep / m->below_ramp, 0.0f, 1.0f);
     if (!(gate > 0.0f)) return 0;
   }
-  at->here[LTS_SOIL_CUT][i] = lts_soil_channel(soil, LTS_SOIL_CUT, &spot);
-  at->here[LTS_SOIL_SURFACE][i] = surface;
-  at->here[LTS_SOIL_SINCE][i] = lts_soil_channel(soil, LTS_SOIL_SINCE, &spot);
-  at->here[LTS_SOIL_AREA_BEFORE][i] = lts_soil_channel(soil, LTS_SOIL_AREA_BEFORE, &spot);
-  at->here[LTS_SOIL_INFLUENCE][i] = influence;
-  at->here[LTS_SOIL_DISTURBED][i] = disturbed;
-  at->here[LTS_SOIL_STRUCK][i] = lts_soil_channel(soil, LTS_SOIL_STRUCK, &spot);
+  for (int k = 0; k < LTS_SOIL_CHANNELS; ++k) at->here[k][i] = lts_soil_channel(soil, k, &spot);
   /* Farther from and nearer to the middle. */
   const double sign = place[2] < 0.0 ? -1.0 : 1.0, away[3] = {0.0, m->neighbour, -m->neighbour};
   for (int k = 0; k < 3; ++k) {
@@ -44,12 +37,11 @@ static int take(const lts_soil *soil, const lts_passage *p, int is_surface, cons
     at->share[k][i] = (float)share;
   }
   const float *low = soil->scalars[strip], *high = soil->scalars[strip + (n_strip > 1)];
-  const float b = at->share[0][i];
-  const int carried = LTS_SOIL_OF_PASSAGE(m, CARRIED), layer = LTS_SOIL_OF_PASSAGE(m, LAYER);
-  at->carried[i] = low[carried] + b * (high[carried] - low[carried]);
-  at->layer[i] = low[layer] + b * (high[layer] - low[layer]);
-  at->area[i] = low[LTS_SOIL_AREA] + b * (high[LTS_SOIL_AREA] - low[LTS_SOIL_AREA]);
-  at->foremost[i] = low[LTS_SOIL_FOREMOST] + b * (high[LTS_SOIL_FOREMOST] - low[LTS_SOIL_FOREMOST]);
+  int of_strip[LTS_SOIL_OF_STRIP];
+  lts_soil_scalars_of_strip(m, of_strip);
+  for (int k = 0; k < LTS_SOIL_OF_STRIP; ++k) {
+    at->of_strip[k][i] = low[of_strip[k]] + at->share[0][i] * (high[of_strip[k]] - low[of_strip[k]]);
+  }
   at->u[i] = u;
   at->y[i] = y;
   at->z[i] = z;
@@ -108,21 +100,9 @@ static void answer(const lts_soil *soil, int n_strip, int is_surface, lts_places
   see_beside(soil, at, n_strip, inputs, ld);
   see_tool(soil, at, n_strip, inputs + 2, ld);
   for (int member = 0; member < soil->members; ++member) {
-    const lts_dense *layers = net->layers + member * net->n_layer;
-    const float *x = soil->inputs;
-    float *y = soil->a;
-    int ldx = ld;
-    for (int k = 0; k < net->n_layer; ++k) {
-      const int last = k + 1 == net->n_layer;
-      float *to = last ? soil->out : y;
-      soil->run->dense(&layers[k], x, ldx, at->n, to, layers[k].columns, last ? LTS_NORMED : LTS_SILU, NULL,
-                       NULL);
-      x = to;
-      ldx = layers[k].columns;
-      y = y == soil->a ? soil->b : soil->a;
-    }
+    lts_soil_run(soil, net, member, soil->inputs, ld, at->n);
     for (int i = 0; i < at->n; ++i) {
-      for (int k = 0; k < n_out; ++k) sums[i][k] += x[i * ldx + k];
+      for (int k = 0; k < n_out; ++k) sums[i][k] += soil->out[i * LTS_PANEL + k];
     }
   }
   for (int i = 0; i < at->n; ++i) {

@@ -73,8 +73,6 @@ static size_t lay_out(const lts_soil_model *m, const lts_soil_tool *tool, const 
   if ((size_t)LTS_PADDED(m->surface.layers[0].rows) > ld) {
     ld = (size_t)LTS_PADDED(m->surface.layers[0].rows);
   }
-  const size_t a = rows * own > lanes * wide ? rows * own : lanes * wide;
-  const size_t b = 2 * rows * wide > lanes * wide ? 2 * rows * wide : lanes * wide;
   size_t at = lts_aligned(sizeof(lts_soil), LTS_ALIGNMENT);
 #define TAKE(field, type, count)                             \
   if (base) soil->field = (type *)(void *)(base + at);       \
@@ -108,8 +106,10 @@ static size_t lay_out(const lts_soil_model *m, const lts_soil_tool *tool, const 
   TAKE(places, lts_places, 1)
   TAKE(inputs, float, lanes * ld)
   TAKE(sides, float, rows * ld_side)
-  TAKE(a, float, a)
-  TAKE(b, float, b)
+  TAKE(a, float, rows * own)
+  for (int i = 0; i < 2; ++i) {
+    TAKE(rows[i], float, lanes * wide) /* lanes are more than the two sides of all strips */
+  }
   TAKE(bias, float, (size_t)m->n_column * own)
   TAKE(out, float, lanes * LTS_PANEL)
   TAKE(loads, float, 6 * members)
@@ -174,9 +174,8 @@ int lts_soil_init(const lts_soil_model *m, const lts_soil_tool *tool, lts_terrai
   soil->kernel = found;
   soil->members = m->n_member;
   soil->most_cells = (int32_t)most_cells(m, tool, terrain);
-  soil->widest = widest(m);
   fit_tool(soil);
-  soil->magic = LTS_SOIL_MAGIC;
+  soil->magic = LTS_MAGIC;
   lts_soil **end = &terrain->first;
   while (*end) end = &(*end)->next;
   *end = soil;
@@ -184,19 +183,13 @@ int lts_soil_init(const lts_soil_model *m, const lts_soil_tool *tool, lts_terrai
   return LTS_OK;
 }
 
-int lts_soil_check(const lts_soil *soil) {
-  if (!soil) return LTS_ERROR_NULL;
-  if ((uintptr_t)soil % LTS_ALIGNMENT || soil->magic != LTS_SOIL_MAGIC) return LTS_ERROR_MEMORY;
-  return LTS_OK;
-}
-
 int lts_soil_check_started(const lts_soil *soil) {
-  LTS_TRY(lts_soil_check(soil));
+  LTS_TRY(lts_check(soil));
   return soil->started ? LTS_OK : LTS_ERROR_CALL;
 }
 
 int lts_soil_close(lts_soil *soil) {
-  LTS_TRY(lts_soil_check(soil));
+  LTS_TRY(lts_check(soil));
   lts_soil_write(soil);
   lts_soil **at = &soil->terrain->first;
   while (*at && *at != soil) at = &(*at)->next;
@@ -206,46 +199,13 @@ int lts_soil_close(lts_soil *soil) {
 }
 
 int lts_soil_kernel(const lts_soil *soil) {
-  LTS_TRY(lts_soil_check(soil));
+  LTS_TRY(lts_check(soil));
   return soil->kernel;
 }
 
 int lts_soil_members(lts_soil *soil, int members) {
-  LTS_TRY(lts_soil_check(soil));
+  LTS_TRY(lts_check(soil));
   if (members < 1 || members > soil->model->n_member) return LTS_ERROR_VALUE;
   soil->members = members;
-  return LTS_OK;
-}
-
-int lts_soil_clone(lts_soil *to, const lts_soil *from) {
-  LTS_TRY(lts_soil_check(to));
-  LTS_TRY(lts_soil_check(from));
-  const lts_terrain *one = to->terrain, *other = from->terrain;
-  if (strcmp(to->model->digest, from->model->digest)) return LTS_ERROR_STATE;
-  if (memcmp(&to->tool, &from->tool, sizeof to->tool) || one == other ||
-      memcmp(one->n, other->n, sizeof one->n) || memcmp(one->cell, other->cell, sizeof one->cell) ||
-      memcmp(one->corner, other->corner, sizeof one->corner)) {
-    return LTS_ERROR_VALUE;
-  }
-  const lts_passage *p = &from->passage[from->now];
-  const lts_cells *c = &from->cells[p->s.cells];
-  const size_t n = (size_t)c->n;
-  to->members = from->members;
-  to->started = from->started;
-  to->writes = from->writes;
-  to->frame = from->frame;
-  to->pose = from->pose;
-  to->result = from->result;
-  to->seen = NULL;
-  to->now = 0;
-  if (!from->started) return LTS_OK;
-  lts_soil_copy(to, &to->passage[0], p);
-  to->passage[0].s.cells = 0;
-  to->cells[0].n = c->n;
-  memcpy(to->cells[0].number, c->number, n * sizeof *c->number);
-  memcpy(to->cells[0].before, c->before, n * sizeof *c->before);
-  memcpy(to->cells[0].left, c->left, n * sizeof *c->left);
-  memcpy(to->cells[0].u, c->u, n * sizeof *c->u);
-  memcpy(to->cells[0].across, c->across, n * sizeof *c->across);
   return LTS_OK;
 }

@@ -169,7 +169,7 @@ static int judge(const lts_soil *soil, const lts_passage *p, const lts_pose *pos
 static int rank(const lts_judgement *j) { return j->status & LTS_NON_FINITE ? 2 : j->status != 0; }
 
 int lts_soil_reason(const lts_soil *soil, const lts_judgement *judgement, char *text, size_t size) {
-  LTS_TRY(lts_soil_check(soil));
+  LTS_TRY(lts_check(soil));
   if (!judgement || !text) return LTS_ERROR_NULL;
   if (judgement->axis >= soil->model->n_judged) return LTS_ERROR_VALUE;
   char name[LTS_LONGEST_NAME] = "a prediction";
@@ -249,7 +249,7 @@ static void finish(lts_soil *soil, const lts_passage *p) {
 }
 
 static int start(lts_soil *soil, const lts_pose *pose, int set_down, int writes, lts_pose *unit) {
-  LTS_TRY(lts_soil_check(soil));
+  LTS_TRY(lts_check(soil));
   if (!pose) return LTS_ERROR_NULL;
   lts_passage *p;
   if (!lts_soil_unit_pose(pose, unit)) return LTS_ERROR_VALUE;

@@ -119,8 +119,9 @@ static double layer(const lts_soil *soil, const lts_passage *p, int strip) {
 static void find_pressed(const lts_soil *soil, const lts_passage *p, double found[LTS_SOIL_STRIPS]) {
   const lts_soil_model *m = soil->model;
   const lts_soil_tool *tool = &soil->tool;
-  const int is_bucket = tool->bucket > 0.0, several = p->s.n_strip > 1;
-  const int under = several ? m->n_beside : 0, count = several ? m->n_column : 1;
+  const int is_bucket = tool->bucket > 0.0;
+  int under;
+  const int count = lts_soil_under(soil, p, &under);
   for (int j = 0; j < p->s.n_strip; ++j) found[j] = 0.0;
   if (m->kind != LTS_SOIL_BLADE) return;
   const double right = 0.5 * 3.14159265358979323846; /* `Blade.back` */

@@ -101,22 +101,20 @@ static void look_beside(reading *r, float offset, float *x) {
   }
 }
 
+void lts_soil_scalars_of_strip(const lts_soil_model *m, int out[LTS_SOIL_OF_STRIP]) {
+  const int found[LTS_SOIL_OF_STRIP] = {LTS_SOIL_AREA, LTS_SOIL_FOREMOST, LTS_SOIL_OF_PASSAGE(m, CARRIED),
+                                        LTS_SOIL_OF_PASSAGE(m, LAYER), LTS_SOIL_OF_PASSAGE(m, PRESSED)};
+  memcpy(out, found, sizeof found);
+}
+
 static void scalar_of(const reading *r, int index, float *x) {
   const int n = r->n;
-  if (index == LTS_SOIL_AREA) {
-    EACH(r->places->area[i]);
-  } else if (index == LTS_SOIL_FOREMOST) {
-    EACH(r->places->foremost[i]);
-  } else if (index == LTS_SOIL_OF_PASSAGE(r->soil->model, CARRIED)) {
-    EACH(r->places->carried[i]);
-  } else if (index == LTS_SOIL_OF_PASSAGE(r->soil->model, LAYER)) {
-    EACH(r->places->layer[i]);
-  } else if (index == LTS_SOIL_OF_PASSAGE(r->soil->model, PRESSED)) { /* of the load alone */
-    EACH(r->places->pressed[i]);
-  } else { /* all strips share it */
-    const float value = r->soil->scalars[0][index];
-    EACH(value);
-  }
+  const float value = r->soil->scalars[0][index];
+  int of_strip[LTS_SOIL_OF_STRIP], s = 0;
+  lts_soil_scalars_of_strip(r->soil->model, of_strip);
+  while (s < LTS_SOIL_OF_STRIP && of_strip[s] != index) ++s;
+  if (s < LTS_SOIL_OF_STRIP) memcpy(x, r->places->of_strip[s], (size_t)n * sizeof *x);
+  else EACH(value);
 }
 
 /* The operand of a row, into the lowest [LANES] of a stack. */

@@ -159,8 +159,9 @@ void lts_soil_look_around(lts_soil *soil, lts_passage *p) {
   }
   PASS_BY(1)
 #undef PASS_BY
-  const int several = p->s.n_strip > 1, count = several ? m->n_column : 1;
-  for (int j = 0; j < count; ++j) dropped += p->s.dropped[several * m->n_beside + j];
+  int under;
+  const int count = lts_soil_under(soil, p, &under);
+  for (int j = under; j < under + count; ++j) dropped += p->s.dropped[j];
   p->s.left_behind += t->cell[0] * t->cell[1] / (soil->scale * soil->scale) * risen / soil->scale;
   p->s.dropped_there = dropped / count;
   p->s.n_gone = n_gone;

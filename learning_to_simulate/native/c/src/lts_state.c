@@ -34,9 +34,10 @@ static size_t lay_out_state(const lts_model *m, char *base, lts_state *state) {
   return at;
 }
 
-size_t lts_state_bytes(const lts_model *model) { return lay_out_state(model, NULL, NULL); }
+static size_t state_bytes(const lts_model *model) { return lay_out_state(model, NULL, NULL); }
 
-size_t lts_lay_out(const lts_model *m, char *base, lts_instance *soil) {
+/* Sizes in one place: both lts_size and lts_init walk the same list. */
+static size_t lay_out(const lts_model *m, char *base, lts_instance *soil) {
   const size_t n_node = (size_t)lts_n_node(m), tile = LTS_TILE_ROWS;
   const size_t latent = (size_t)LTS_PADDED(m->latent);
   size_t width = latent, out = LTS_PANEL * n_node;
@@ -48,7 +49,7 @@ size_t lts_lay_out(const lts_model *m, char *base, lts_instance *soil) {
   const size_t n_feature = m->is_graph ? n_node * (size_t)m->n_feature : (size_t)m->n_input;
   size_t at = lts_aligned(sizeof(lts_instance), LTS_ALIGNMENT);
   if (base) lay_out_state(m, base + at, &soil->state);
-  at += lts_aligned(lts_state_bytes(m), LTS_ALIGNMENT);
+  at += lts_aligned(state_bytes(m), LTS_ALIGNMENT);
   if (base) soil->history = (double *)(void *)(base + at);
   at += lts_aligned(LTS_HISTORY * 3 * n_node * sizeof(double), LTS_ALIGNMENT);
 #define TAKE(field, count)                              \
@@ -70,7 +71,7 @@ size_t lts_lay_out(const lts_model *m, char *base, lts_instance *soil) {
 }
 
 size_t lts_size(const lts_model *model) {
-  return is_usable(model) ? lts_lay_out(model, NULL, NULL) + LTS_ALIGNMENT - 1 : 0;
+  return is_usable(model) ? lay_out(model, NULL, NULL) + LTS_ALIGNMENT - 1 : 0;
 }
 
 int lts_init(const lts_model *model, void *memory, size_t size, int kernel, lts_instance **out) {
@@ -82,9 +83,9 @@ int lts_init(const lts_model *model, void *memory, size_t size, int kernel, lts_
   if (!run) return LTS_ERROR_VALUE;
   char *base = (char *)memory;
   base += (LTS_ALIGNMENT - (uintptr_t)base % LTS_ALIGNMENT) % LTS_ALIGNMENT;
-  memset(base, 0, lts_lay_out(model, NULL, NULL));
+  memset(base, 0, lay_out(model, NULL, NULL));
   lts_instance *soil = (lts_instance *)(void *)base;
-  lts_lay_out(model, base, soil);
+  lay_out(model, base, soil);
   soil->model = model;
   soil->run = run;
   soil->kernel = found;
@@ -94,8 +95,8 @@ int lts_init(const lts_model *model, void *memory, size_t size, int kernel, lts_
 }
 
 int lts_kernel(const lts_instance *soil) {
-  const int error = lts_check(soil);
-  return error ? error : soil->kernel;
+  LTS_TRY(lts_check(soil));
+  return soil->kernel;
 }
 
 int lts_reset(lts_instance *soil, const double *history, const double *context) {
@@ -107,7 +108,7 @@ int lts_reset(lts_instance *soil, const double *history, const double *context) 
   if (m->n_context && !lts_all_finite(context, (size_t)m->n_context)) return LTS_ERROR_VALUE;
   lts_state *s = &soil->state;
   lts_head *head = s->head;
-  memset(head, 0, lts_state_bytes(m));
+  memset(head, 0, state_bytes(m));
   soil->prepared = 0;
   head->started = 1;
   head->start = -1;
@@ -179,21 +180,21 @@ int lts_set_context(lts_instance *soil, const double *context) {
 }
 
 size_t lts_state_size(const lts_model *model) {
-  return is_usable(model) ? LTS_HEADER_SIZE + lts_state_bytes(model) : 0;
+  return is_usable(model) ? LTS_HEADER_SIZE + state_bytes(model) : 0;
 }
 
 int lts_save(const lts_instance *soil, void *bytes, size_t size) {
   LTS_TRY(lts_check(soil));
   const lts_model *m = soil->model;
-  return lts_write_state(LTS_MAGIC, m->digest, soil->state.head, lts_state_bytes(m), bytes, size);
+  return lts_write_state(m->digest, soil->state.head, state_bytes(m), bytes, size);
 }
 
 int lts_load(lts_instance *soil, const void *bytes, size_t size) {
   LTS_TRY(lts_check(soil));
   const lts_model *m = soil->model;
-  const size_t n = lts_state_bytes(m);
+  const size_t n = state_bytes(m);
   lts_head head;
-  LTS_TRY(lts_check_state(LTS_MAGIC, m->digest, bytes, size, n));
+  LTS_TRY(lts_check_state(m->digest, bytes, size, n));
   const char *state = (const char *)bytes + LTS_HEADER_SIZE;
   memcpy(&head, state, sizeof head);
   /* A checksum can be forged: the index and the clock are what could lead astray. */
@@ -206,10 +207,11 @@ int lts_load(lts_instance *soil, const void *bytes, size_t size) {
 }
 
 int lts_clone(lts_instance *to, const lts_instance *from) {
-  LTS_TRY(lts_check(to) ? lts_check(to) : lts_check(from));
+  LTS_TRY(lts_check(to));
+  LTS_TRY(lts_check(from));
   if (to->model != from->model) return LTS_ERROR_STATE;
   if (to == from) return LTS_OK;
-  memcpy(to->state.head, from->state.head, lts_state_bytes(to->model));
+  memcpy(to->state.head, from->state.head, state_bytes(to->model));
   to->prepared = 0;
   if (to->state.head->started) lts_context_features(to);
   return LTS_OK;

@@ -4,12 +4,6 @@
 
 #include "lts_internal.h"
 
-int lts_check(const lts_instance *soil) {
-  if (!soil) return LTS_ERROR_NULL;
-  if ((uintptr_t)soil % LTS_ALIGNMENT || soil->magic != LTS_MAGIC) return LTS_ERROR_MEMORY;
-  return LTS_OK;
-}
-
 int lts_check_started(const lts_instance *soil) {
   LTS_TRY(lts_check(soil));
   return soil->state.head->started ? LTS_OK : LTS_ERROR_CALL;
