@@ -181,11 +181,6 @@ class Terrain:
             raise ValueError(f'{path}: is no terrain: {error}') from error
 
     @property
-    def volume(self) -> float:
-        """m3 of soil above the height 0."""
-        return float(self.heights.sum() * np.prod(self.cell))
-
-    @property
     def shape(self) -> tuple[int, int]:
         return self._heights.shape
 
