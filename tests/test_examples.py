@@ -21,11 +21,10 @@ def _example(name):
     return importlib.import_module(f'examples.{name}')
 
 
-def run_lines(page):
-    """Runs the block of Python on a page as it is written; returns its names and their values."""
+def run_lines(page, block=0):
+    """Runs a block of Python on a page as it is written; returns its names and their values."""
     text, values = (ROOT / page).read_text(encoding='utf-8'), {}
-    (block,) = re.findall(r'```python\n(.*?)```', text, re.S)
-    exec(block, values)
+    exec(re.findall(r'```python\n(.*?)```', text, re.S)[block], values)
     return values
 
 
@@ -131,3 +130,20 @@ def test_cells_of_the_tutorial_run_in_order():
     assert set(values['states']) == {'ok'} and values['outside'].status != 'ok'
     assert values['rollout'].force.shape == (150, 3)
     assert values['error'] < 0.2 < values['held']
+
+
+def test_a_machine_of_ones_own_by_the_lines_of_the_front_page(tmp_path, monkeypatch):
+    """A slide with a plate on it, let down to the soil and pushed along."""
+    pytest.importorskip('mujoco')
+    slide = """<mujoco><option timestep="0.001"/><worldbody><body pos="2 -0.5 0.27">
+      <joint type="slide" axis="1 0 0" damping="200"/>
+      <joint type="slide" axis="0 0 1" damping="20"/>
+      <geom type="box" size=".01 .2 .14" pos="0 0 .14" mass="20" contype="0" conaffinity="0"/>
+      <site name="edge"/></body></worldbody></mujoco>"""
+    (tmp_path / 'machine.xml').write_text(slide, encoding='utf-8')
+    monkeypatch.chdir(tmp_path)
+    values = run_lines('README.md', 1)
+    assert values['soil'].judgement.status == 'ok'
+    lowest = values['data'].xpos[1, 2] - lts.Blade().radius
+    assert 0.23 < lowest < 0.249  # it stands in the soil
+    assert values['frames']['edge'].force[1] == pytest.approx(20 * 9.81, rel=0.05)

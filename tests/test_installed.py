@@ -77,8 +77,9 @@ def test_nothing_generic_is_at_the_top(wheel):
 
 @pytest.mark.slow
 def test_models_come_with_it_and_the_python_of_the_readme_runs(run):
-    (block,) = re.findall(r'```python\n(.*?)```', (ROOT / 'README.md').read_text(), re.DOTALL)
-    assert 'ok' in run('python', '-c', f'{CHECKS}\n{block}')
+    blocks = re.findall(r'```python\n(.*?)```', (ROOT / 'README.md').read_text(), re.DOTALL)
+    own = [block for block in blocks if 'mujoco' not in block]  # the machine's is not installed
+    assert own and 'ok' in run('python', '-c', '\n'.join([CHECKS, *own]))
 
 
 def test_commands(run):
