@@ -40,7 +40,16 @@ PARTS = {
     'machine': (scenes.EXCAVATION, machine_drives.KINDS),
     **{
         kind: (scenes.EXCAVATION, (kind,))
-        for kind in ('beside', 'soils', 'tools', 'trench', 'spread', 'backdrag', 'brief')
+        for kind in (
+            'beside',
+            'soils',
+            'tools',
+            'trench',
+            'spread',
+            'backdrag',
+            'brief',
+            'gravity',
+        )
     },
     'excavation_grid': (scenes.EXCAVATION, ()),
     'wheel_free': (scenes.WHEEL, wheel_drives.TURNS),

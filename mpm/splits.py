@@ -37,6 +37,7 @@ RUNS = {
         'spread': 60,
         'backdrag': 60,
         'brief': 60,
+        'gravity': 40,
     },
     'wheel': {
         **dict.fromkeys(('slip', 'stops', 'reverse', 'load'), 30),

@@ -23,6 +23,7 @@ backdrag: a short run: a cut whose heap is then drawn back: the blade goes over 
     down before it and drags it with its back.
 brief: a short run, with a tool and a soil of its own, at any place of the bin: straight down or
     nearly so, then on, deeper, or out and down again.
+gravity: as brief, under a gravity between that of the Moon and ten times that of the Earth.
 """
 
 import math
@@ -35,7 +36,8 @@ from mpm.motions.drive import Drive, Levels, Track, poses
 
 TURNS = ('smooth', 'stops', 'reverse', 'lift', 'disturbed')  # of seeds, if no kind is named
 KINDS = (*TURNS, 'halts', 'beside', 'soils', 'tools', 'trench', 'spread', 'backdrag',
-         'brief')  # fmt: skip
+         'brief', 'gravity')  # fmt: skip
+BRIEF = ('brief', 'gravity')
 BINS = {'beside': 'wide', 'tools': 'wide', 'trench': 'long'}  # the others: the scene's own
 MAX_DEPTH, MIN_DEPTH = 0.10, 0.01  # m, of the edge below the flat surface
 MAX_SPEED = 0.15  # m/s along the bed
@@ -55,11 +57,12 @@ LONGEST_HALT = 0.8  # s
 FARTHEST = 1.5  # widths, between neighbouring cuts
 FRICTION_DEG, DENSITY = (28.0, 43.0), (1300.0, 1900.0)  # deg, kg/m3
 GRAVITIES = (1.62, 3.72)  # m/s2, Moon and Mars
+ANY_GRAVITY = (1.62, 98.1)  # m/s2
 TRENCH = (1.2, 1.5)  # m
 LAYERS = 0.003, 0.038  # m, of the edge above the bed
 LEAST_SPREAD_FRAMES, LEAST_BACKDRAG = 40, 0.12  # m
 # Of the other kinds: the scene's own, or `_trench`'s.
-FRAMES = {'spread': 220, 'backdrag': 290, 'brief': 110}
+FRAMES = {'spread': 220, 'backdrag': 290, 'brief': 110, 'gravity': 110}
 # Of drawn tools.
 WIDTHS = (0.15, 0.60)  # m
 BRIEF_WIDTHS = (0.15, 0.40)  # m, in a bin that is half as wide
@@ -122,7 +125,13 @@ def operator_drive(
     parameters = {'kind': kind, 'path_seed': seed}
     if kind in ('soils', 'brief'):
         parameters['ground'] = _draw_ground(rng)
-    if kind in ('tools', 'brief') and tool is None:
+    elif kind == 'gravity':
+        gravity = math.exp(rng.uniform(*np.log(ANY_GRAVITY)))
+        friction = rng.uniform(*FRICTION_DEG)
+        parameters['ground'] = {
+            'friction_angle_deg': round(friction, 2), 'gravity': round(gravity, 3),
+        }  # fmt: skip
+    if kind in ('tools', *BRIEF) and tool is None:
         tool = _draw_tool(rng, WIDTHS if kind == 'tools' else BRIEF_WIDTHS)
     drive, drawn = checks.first_that_fits(
         lambda: _draw(rng, scene, kind, tool), scene.bin, f'the kind {kind!r}, seed {seed}',
@@ -158,7 +167,7 @@ def _draw(rng, scene, kind, tool) -> tuple[Drive, dict]:
         leans = BUCKET_LEANS
     clearance = rng.uniform(grid.TIP_CLEARANCE, 0.03)
     start_x = grid.blade_start(scene)[0]
-    if kind == 'brief':
+    if kind in BRIEF:
         start_x, clearance = rng.uniform(*BRIEF_START), grid.TIP_CLEARANCE
     elif kind != 'trench' and rng.random() < _ELSEWHERE_SHARE:
         start_x = rng.uniform(0.55, start_x + 0.02)
@@ -189,7 +198,7 @@ def _draw(rng, scene, kind, tool) -> tuple[Drive, dict]:
         {
             'smooth': _smooth, 'halts': _smooth, 'stops': _stops, 'reverse': _reverse,
             'lift': _lift, 'spread': _spread, 'backdrag': _backdrag,
-            'brief': _brief,
+            'brief': _brief, 'gravity': _brief,
         }[plot](rng, story, begin + seconds)  # fmt: skip
     speed, depth, lean = (story.levels(name) for name in ('speed', 'depth', 'lean'))
     clock = _halting_clock(rng) if kind == 'halts' else np.asarray
@@ -241,7 +250,7 @@ def _is_fine(drive, box, parameters) -> bool:
     times = np.arange(frames + 1 + drive.lead_in) / scenes.FRAME_RATE
     x, y, angle, _ = drive.pose(times).T
     depth = box.surface - y - bodies.lowest(drive.body, angle)
-    if plot == 'brief':  # near walls as well
+    if plot in BRIEF:  # near walls as well
         return x.min() >= scenes.CORNER + FRONT_ROOM / 2
     if x.min() < scenes.CORNER + FRONT_ROOM or _is_squeezing(x, y, angle, depth, box):
         return False
