@@ -58,16 +58,10 @@ def main() -> None:
         sys.exit(f'error: no command {name!r}; there are {", ".join(COMMANDS)}')
     module, implied, _ = COMMANDS[name]
     sys.argv[1:] = implied + rest
-    asked = any(argument in ('-h', '--help', '--helpshort', '--helpfull') for argument in rest)
     try:
         runpy.run_module(module, run_name='__main__', alter_sys=True)
     except ModuleNotFoundError as error:
         sys.exit(f'error: lts {name} needs {error.name}, which is not installed')
-    except SystemExit as done:
-        # absl ends with 1 after the help that was asked for, and with 2 or a text after an error.
-        if asked and done.code == 1:
-            sys.exit(0)
-        raise
 
 
 if __name__ == '__main__':

@@ -21,12 +21,11 @@ import tqdm
 from learning_to_simulate import checkpoints
 from learning_to_simulate.registry import TrainOptions
 from pca_tools import files
-from pca_tools.storage import folder_lock
+from pca_tools.storage import folder_lock, whole_files
 
 LOG_EVERY = 50  # steps between looks at the losses
 KEPT = 2  # checkpoints
 _NAME = re.compile(r'ckpt-(\d+)\.npz')
-_LEFTOVER = re.compile(r'\..*\.tmp')
 
 
 @dataclasses.dataclass
@@ -70,7 +69,7 @@ def run(training: Training, model_path: str, options: TrainOptions) -> dict:
     with folder_lock.locked(model_path), StopSignals() as stop:
         open_model_path(model_path, training)
         state = TrainingState(model_path, training.trainer)
-        state.remove_leftovers()
+        whole_files.remove_temporary(model_path)
         start = state.restore()
         if training.agree_on:
             training.agree_on(start, model_path)
@@ -323,9 +322,3 @@ class TrainingState:
     def _remove_old(self):
         for old in stored_steps(self._path)[KEPT:]:
             os.remove(file_of(self._path, old))
-
-    def remove_leftovers(self) -> None:
-        """Deletes what a writer that was killed left half done."""
-        for name in os.listdir(self._path):
-            if _LEFTOVER.fullmatch(name):
-                os.remove(os.path.join(self._path, name))
