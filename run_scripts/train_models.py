@@ -43,7 +43,7 @@ SHIPPED = {
     'excavation/soil_field': Recipe(
         ('excavation', 'excavation_wide', 'excavation_more', 'excavation_long'),
         'soil_field',
-        {'seed': 3},
+        {'seed': 0},
     ),
     'wheel/soil_field': Recipe(('wheel', 'wheel_more'), 'soil_field', {'seed': 0}),
     'excavation/mlp_driven': Recipe(('excavation',), 'mlp_driven', {'num_steps': 4000}),

@@ -27,7 +27,7 @@ _BITS = {
     ),
     'LTS_OUTSIDE_START': (
         'bed_low', 'bed_high', 'uneven', 'wall', 'wall_behind', 'beyond_map', 'thin_soil',
-        'other_tool', 'cell', 'crossfall', 'slope',
+        'other_tool', 'cell', 'crossfall', 'slope', 'wall_beside',
     ),
     'LTS_OUTSIDE_SPEED': ('speed', 'along', 'turning'),
 }  # fmt: skip
@@ -108,6 +108,7 @@ def values(field) -> dict:
         'judged_here': soil_field.HERE,
         'judged_near': soil_field.NEAR,
         'least_soil': tool.least_soil,
+        'wall_beside': tool.wall_beside,
         'apart': soil_field.APART,
         'bound': field.bounds.get('force', (-1.0,) * 3),
     }

@@ -201,6 +201,7 @@ class TfEngine:
         _, yaw, roll = place.turns(pose)
         ends = pose[[0, 2]] + np.outer([-width / 2, width / 2], place.across[[0, 2]]) - t.corner
         beyond = np.maximum(-ends, ends - t.cell * t.shape).max()
+        beside = min(t.wall(pose[:3], way) for way in (place.across, -place.across)) - width / 2
         over_floor = pose[1] - self._tool.radius - t.floor
         spots = [other.spot for other in t.others(self) if other.spot is not None]
         others = [
@@ -211,7 +212,8 @@ class TfEngine:
                  max(passage.scale * self._tool.least_soil - over_floor, 0.0), max([0.0, *others]),
                  t.cell.max()]  # fmt: skip
         of_passage = passage.crossfall, passage.slope, passage.turning, passage.leans
-        return np.array([yaw, roll, *np.array(found) / passage.scale, *of_passage])
+        near = max(self._tool.wall_beside - beside / passage.scale, 0.0)
+        return np.array([yaw, roll, *np.array(found) / passage.scale, *of_passage, near])
 
     def _seen(self, passage, pose, before):
         frame = passage.frame

@@ -24,7 +24,8 @@ MARGIN = 0.05
 # passage; how far its ends stand out of the map; what is missing of the tool's `least_soil` between
 # it and the floor; by how much another tool is nearer than `APART`; the side of a cell, at most the
 # tool's `largest_cell`; `Passage.crossfall`; of no unit, `Passage.slope` and `turning`, in the
-# tool's `taught_turning`; and, rad, `Passage.leans`.
+# tool's `taught_turning`; rad, `Passage.leans`; m of the field, by how much a wall is nearer to
+# its ends than the tool's `wall_beside`.
 CONDITIONS = {
     'yaw': (-0.035, 0.035),
     'roll': (-0.035, 0.035),
@@ -37,6 +38,7 @@ CONDITIONS = {
     'slope': (-0.09, 0.09),
     'turning': (np.nan, np.nan),
     'leans': (-0.05, np.pi),
+    'wall_beside': (0.0, 0.0),
 }
 APART = 0.1
 # Numbers of a frame that are judged: scalars, and what follows from bins about the tool, from how
@@ -45,6 +47,7 @@ _SCALARS = ('lean', 'area', 'carried', 'speed', 'pressed')
 _OF_BINS = (
     'depth', 'bed_low', 'bed_high', 'uneven', 'wall', 'along', 'backed', 'wall_behind',
 )  # fmt: skip
+OF_SOIL = 'friction', 'stress'  # scalars
 # Of the ground: it is as in training where it differs by less than so much, m of the field.
 _OF_GROUND, SMOOTH = ('bed_low', 'bed_high', 'uneven'), 0.0005
 # Bins so far from the tool tell of the ground under it and about it, m of the field.
@@ -181,15 +184,9 @@ class SoilField:
         return self._of_places('rise', passage, places, members)
 
     def loads(self, frame: sweep.Frame, members: int | None = None) -> np.ndarray:
-        """float32 [M, B, 6] of frames, see `SoilNetworks.load_of`. Soil hardly knows time: a tool
-        that is faster than any that was taught feels what the fastest did, and is flagged."""
+        """float32 [M, B, 6] of frames, see `SoilNetworks.load_of`."""
         call = self.networks.compiled('loads', frame.bins.shape[1], members)
-        scalars = frame.scalars.copy()
-        fastest = np.float32(self.ranges.get('speed', [0.0, np.inf])[1])
-        for name in ('speed', *(f'pace_{i}' for i in range(len(sweep.MEMORIES)))):
-            column = scalars[..., self.networks.scalars[name]]
-            np.minimum(column, fastest, out=column)
-        return call(tf.constant(frame.bins), tf.constant(scalars)).numpy()
+        return call(*map(tf.constant, self._within(frame))).numpy()
 
     def displacement(self, passage: Passage, places, members: int | None = None) -> np.ndarray:
         """How far particles have moved [P, 3] since a passage began, along, up, across, from places
@@ -198,8 +195,26 @@ class SoilField:
 
     def _of_places(self, name, passage, places, members):
         call = self.networks.compiled(name, len(passage.strips.centres), members)
-        frame = map(tf.constant, passage.frame)
+        frame = map(tf.constant, self._within(passage.frame))
         return call(*frame, *network.placed(passage.strips, places)).numpy().mean(axis=0)[0]
+
+    def _within(self, frame: sweep.Frame) -> sweep.Frame:
+        """What networks see of frames: a soil farther from those that were taught than half of
+        their range is as the nearest one that is not, and a tool that is faster than any feels what
+        the fastest did. Both are flagged."""
+        scalars = frame.scalars.copy()
+        known = {name: self.ranges[name] for name in OF_SOIL if name in self.ranges}
+        limits = {
+            name: (low - (high - low) / 2, high + (high - low) / 2)
+            for name, (low, high) in known.items()
+        }
+        fastest = self.ranges.get('speed', [0.0, np.inf])[1]
+        paces = (f'pace_{i}' for i in range(len(sweep.MEMORIES)))
+        limits |= dict.fromkeys(('speed', *paces), (0.0, fastest))
+        for name, (low, high) in limits.items():
+            column = scalars[..., self.networks.scalars[name]]
+            np.clip(column, low, high, out=column)
+        return sweep.Frame(frame.bins, scalars)
 
 
 def named(tool) -> int:

@@ -385,9 +385,10 @@ class Passage:
     def frame(self) -> sweep.Frame:
         """What the networks see now, [1, J, ...]."""
         s, ground, c = self.state, self.place.height / self.scale, self.place.cosine
+        along = self.place.along
+        here = self.place.origin + self.scale * c * s.tip * along
         ahead, behind = (
-            min(self.terrain.wall(self.place, self.scale * c * s.tip, way) / self.scale, AHEAD)
-            for way in (1, -1)
+            min(self.terrain.wall(here, way) / self.scale, AHEAD) for way in (along, -along)
         )
         height = ground + c * (s.pose[1] - ground + self.place.grade * s.pose[0])
         below = height - self._radius - self.terrain.floor / self.scale

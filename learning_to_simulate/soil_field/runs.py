@@ -77,8 +77,9 @@ class Run(NamedTuple):
 
     def resized(self, size: float) -> 'Run':
         """The run of a blade and bed so many times as large, without particles and machine: what
-        dry soil does there by similarity (`mpm/README.md`), times as the root of lengths. Cells
-        grow with the rest, so the edge of the copy stands for one of (r + BLUNTER) size - BLUNTER.
+        dry soil does there by similarity (`mpm/README.md`), times as the root of lengths, where it
+        is as much lighter, so that its grains are as stiff against its weight. Cells grow with the
+        rest, so the edge of the copy stands for one of (r + BLUNTER) size - BLUNTER.
         """
         tool: Any = self.tool
         pose = self.pose * np.array([size] * 3 + [1.0] * 4)
@@ -86,7 +87,8 @@ class Run(NamedTuple):
         larger = {'width': size * tool.width, 'radius': edge, 'length': size * tool.length}
         return self._replace(
             tool=dataclasses.replace(tool, **larger), pose=pose, heights=size * self.heights,
-            force=size**3 * self.force, torque=size**4 * self.torque, corner=size * self.corner,
+            soil=dataclasses.replace(self.soil, density=self.soil.density / size),
+            force=size**2 * self.force, torque=size**3 * self.torque, corner=size * self.corner,
             cell=size * self.cell, dt=size**0.5 * self.dt, floor=size * self.floor,
             particles=None, machine=None,
         )  # fmt: skip

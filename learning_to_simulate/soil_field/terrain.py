@@ -197,17 +197,16 @@ class Terrain:
         )
         return x, z
 
-    def wall(self, place, u: float, way: int) -> float:
-        """Distance (m) along a place from u to the wall ahead (way 1) or behind (-1); infinite
-        where there is none."""
+    def wall(self, here, way) -> float:
+        """Distance (m) from a point to the wall in a direction, both [3]; infinite where there is
+        none."""
         if not self.walled:
             return np.inf
-        here, along = place.origin + u * place.along, way * place.along
         ends = [self.corner, self.corner + self.cell * self.shape]
         ways = [
-            (ends[int(along[axis] > 0)][i] - here[axis]) / along[axis]
+            (ends[int(way[axis] > 0)][i] - here[axis]) / way[axis]
             for i, axis in enumerate((0, 2))
-            if abs(along[axis]) > 1e-12
+            if abs(way[axis]) > 1e-12
         ]
         return float(min(ways))
 

@@ -6,8 +6,8 @@ So a field works in the units of a tool: lengths in `scale` m, forces in rho g s
 standard soil, times in the root of scale over g. A blade's scale is 1 as long as its width lies
 within those taught, else the factor that brings it there; a wheel's is its radius over 0.1 m.
 
-Only the stiffness of grains keeps soil from that: where rho g scale is large against it, a wheel
-sinks farther before the soil yields. A wheel knows the logarithm of rho g scale (`stress`).
+Only the stiffness of grains keeps soil from that: where rho g scale is large against it, a tool
+sinks farther before the soil yields. Its load knows the logarithm of rho g scale (`stress`).
 """
 
 import abc
@@ -72,8 +72,9 @@ class Tool(abc.ABC):
     columns: ClassVar[int]  # under the tool; 1 where it has no neighbours that it knows
     scalars: ClassVar[tuple[str, ...]]  # names of `values`
     bears: ClassVar[bool]  # whether its loads are shares of the force up
-    # Over the floor, and of the maps, that it was taught, m of the field.
+    # Over the floor, beside it up to a wall, and of the maps, that it was taught, m of the field.
     least_soil: ClassVar[float]
+    wall_beside: ClassVar[float]
     largest_cell: ClassVar[float]
     taught_turning: ClassVar[tuple[float, float]]  # see `Passage.turning`
     # Over the soil, m of the field, beyond all that it was taught: what it has moved stays.
@@ -136,13 +137,13 @@ class Blade(Tool):
     name = 'blade'
     columns = 5
     bears = False
-    least_soil = 0.05
+    least_soil, wall_beside = 0.05, 0.07
     largest_cell, taught_turning = 0.04, (-0.55, 0.55)
     lifted = strikes = 0.04
     renewed_after = 0.6
     taught_widths: ClassVar = (0.15, 0.6)
     # `edge` is judged only: no network sees it.
-    scalars = ('half_width', 'friction', 'radius', 'length', 'bucket', 'plates', 'edge')
+    scalars = ('half_width', 'friction', 'radius', 'length', 'bucket', 'plates', 'edge', 'stress')
 
     def __post_init__(self):
         super().__post_init__()
@@ -172,7 +173,7 @@ class Blade(Tool):
         s = self.scale
         return np.array(
             [self.width / 2 / s, soil.friction, self.radius / s, self.length / s, self.bucket,
-             self.plates, self.radius / s + BUCKET_EDGE * self.bucket]
+             self.plates, self.radius / s + BUCKET_EDGE * self.bucket, np.log(soil.weight * s)]
         )  # fmt: skip
 
 
@@ -193,7 +194,7 @@ class Wheel(Tool):
     name = 'wheel'
     columns = 1
     bears = True
-    least_soil = 0.008
+    least_soil, wall_beside = 0.008, 0.022
     largest_cell, taught_turning = 0.052, (-0.7, 0.85)
     lifted = 0.03
     strikes = 0.0

@@ -27,9 +27,12 @@ ROBUST = 0.3
 # the runs of a blade, and the few tools that there are. Those of a wheel err more with the first.
 NOISE = {'blade': 0.02, 'wheel': 0.0}
 NOISE_OF_TOOL = {
-    'blade': {'half_width': 0.1, 'radius': 0.05, 'length': 0.2, 'bucket': 0.2, 'plates': 0.2},
+    'blade': {
+        'half_width': 0.1, 'radius': 0.05, 'length': 0.2, 'bucket': 0.2, 'plates': 0.2,
+        'stress': 0.1,
+    },
     'wheel': {'lugs': 0.3, 'lug_height': 0.3},
-}
+}  # fmt: skip
 # The load of a blade is also learned of copies of the runs at other sizes (`Run.resized`), where
 # the scale of the tool stays: few runs have another edge than most. A wheel's scale never does.
 SIZES = (0.77, 1.3)

@@ -15,7 +15,7 @@ from learning_to_simulate.soil_field import sweep
 from learning_to_simulate.soil_field.field import CONDITIONS
 from learning_to_simulate.soil_field.stepper import SoilStepper
 from learning_to_simulate.soil_field.terrain import Terrain
-from learning_to_simulate.soil_field.tools import Blade, Soil, Wheel
+from learning_to_simulate.soil_field.tools import STANDARD_DENSITY, Blade, Soil, Wheel
 from tests.learning_to_simulate.native import worlds
 from tests.learning_to_simulate.soil_field.scenes import hills, poses
 
@@ -368,6 +368,26 @@ def test_a_tool_faster_than_any_taught_feels_what_the_fastest_did():
     assert np.abs(np.subtract(*forces)).max() > 1e-3
 
 
+@pytest.mark.parametrize('tool', TOOLS.values(), ids=TOOLS)
+@pytest.mark.parametrize('name', ['friction', 'stress'])
+def test_a_soil_far_from_all_taught_acts_as_a_nearer_one(name, tool):
+    soils = {
+        'friction': [Soil(np.degrees(np.arctan(k))) for k in (0.8, 0.9, 4.0)],
+        'stress': [
+            Soil(density=np.exp(k) * STANDARD_DENSITY / tool.scale) for k in (0.5, 0.75, 3.0)
+        ],
+    }[name]
+    limits, way, seen = {'friction': [0.6, 0.8], 'stress': [0.0, 0.5]}, path(15, 0.2), []
+    for soil in soils:
+        pair = both(flat(soil=soil), tool, ranged(tool.name, **{name: limits[name]}))
+        frame, _ = drive(pair, way)
+        assert frame.reason.startswith(name) == (soil is not soils[0])
+        seen.append((frame.force / tool.units(soil)[:3], pair[0].terrain.heights))
+    for _, farthest, beyond in zip(*seen):
+        np.testing.assert_allclose(beyond, farthest, rtol=1e-4, atol=1e-6)
+    assert not np.allclose(seen[0][0], seen[1][0], rtol=1e-4)
+
+
 def test_a_proposal_renews_no_passage():
     pair = both(hills())
     way = poses(path(60, 0.9))
@@ -469,6 +489,7 @@ def test_flags_word_for_word():
     'name, terrain, shift',
     [
         ('beyond_map', flat(), 1.1),
+        ('wall_beside', flat(walled=True), 1.0),
         ('thin_soil', Terrain.flat((4.0, 2.4), corner=(-2.6, -1.2), floor=-0.07), 0.0),
         ('cell', Terrain.flat((4.0, 2.4), corner=(-2.6, -1.2), cell=0.06), 0.0),
     ],

@@ -81,7 +81,7 @@ def test_frames_outside_of_training_are_named():
 
     wrong = {'yaw': 0.1, 'roll': -0.2, 'aside': 0.05, 'beyond_map': 0.03, 'thin_soil': 0.01,
              'other_tool': 0.02, 'cell': 0.05, 'crossfall': 0.005, 'slope': -0.1,
-             'turning': 0.6, 'leans': -0.1}  # fmt: skip
+             'turning': 0.6, 'leans': -0.1, 'wall_beside': 0.01}  # fmt: skip
     assert wrong.keys() == field_lib.CONDITIONS.keys()
     for name, value in wrong.items():
         assert reason({name: value}).startswith(f'{name} {value} is outside')

@@ -420,7 +420,7 @@ def test_a_wheel_goes_from_level_ground_onto_a_slope_and_back():
         (TOOLS['excavation'], 0.2, ''), (TOOLS['excavation'], -0.3, 'leans'),
         (lts.Blade(0.4, radius=0.004, bucket=1.0), -0.3, ''),
         (lts.Blade(0.4, radius=0.004, bucket=1.0), 0.3, 'leans'),
-        (lts.Blade(0.33, radius=0.008, length=0.3), 0.2, 'edge'),
+        (lts.Blade(0.33, radius=0.007, length=0.3), 0.2, 'edge'),
         (lts.Blade(0.4, bucket=1.0), -0.3, 'edge'),
     ],
 )  # fmt: skip

@@ -162,8 +162,9 @@ def test_a_wall_is_where_a_walk_leaves_the_map(yaw, u):
         steps = np.arange(0, 2, 1e-4)
         x, _, z = (place.origin + (u + way * steps)[:, None] * place.along).T
         inside = (x >= -0.4) & (x <= 0.6) & (z >= -0.2) & (z <= 0.4)
-        assert terrain.wall(place, u, way) == pytest.approx(steps[inside].max(), abs=2e-4)
-        assert Terrain.flat((1.0, 0.6), corner=(-0.4, -0.2)).wall(place, u, way) == np.inf
+        here = place.origin + u * place.along
+        assert terrain.wall(here, way * place.along) == pytest.approx(steps[inside].max(), abs=2e-4)
+        assert Terrain.flat((1.0, 0.6), corner=(-0.4, -0.2)).wall(here, place.along) == np.inf
 
 
 def test_only_heights_of_a_terrain_change():

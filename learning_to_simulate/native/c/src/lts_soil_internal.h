@@ -107,10 +107,10 @@ void lts_place_unlaid(const lts_place *place, const double vector[3], double out
 /* Lean, yaw and roll, rad. */
 void lts_place_turns(const lts_place *place, const lts_pose *pose, double out[3]);
 
-/* lts_soil_terrain.c: the distance to the wall ahead (way 1) or behind (-1); the mean height of a
+/* lts_soil_terrain.c: the distance from a point to the wall in a direction (x, z); the mean height of a
  * strip at u; whether a terrain can be one. */
 int lts_terrain_usable(const lts_terrain *terrain);
-double lts_terrain_wall(const lts_terrain *terrain, const lts_place *place, double u, double way);
+double lts_terrain_wall(const lts_terrain *terrain, const double here[2], const double way[2]);
 double lts_soil_read(const lts_soil *soil, const lts_terrain *terrain, const lts_place *place, int n_strip,
                      int strip, double u);
 /* The strip below a place across and the share of the next one. */

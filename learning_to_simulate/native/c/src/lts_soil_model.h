@@ -21,8 +21,12 @@ enum {
 #define LTS_SOIL_CHANNELS 7
 #define LTS_SOIL_UNDER_ALONG 11 /* places at which soil is looked for that has risen under a tool in the air */
 #define LTS_SOIL_UNDER_ACROSS 5
-#define LTS_SOIL_CONDITIONS 11  /* the last of what is judged */
-#define LTS_SOIL_JUDGED_SPEED 3 /* the number of the speed among what is judged */
+#define LTS_SOIL_CONDITIONS 12  /* the last of what is judged */
+#define LTS_SOIL_JUDGED_SPEED 3 /* the number of the speed among what is judged; of the tool's first number */
+#define LTS_SOIL_JUDGED_OWN 5
+/* Of the tool's numbers, those of its soil. */
+#define LTS_SOIL_FRICTION 1
+#define LTS_SOIL_STRESS(model) ((model)->n_own - 1)
 
 /* Scalars of a frame that come from the path; then memories [LTS_SOIL_MEMORIES][LTS_SOIL_MOTIONS], those of the
  * tool, what is carried, how far below it the floor and ahead a wall is, what it can have left, how far behind it a
@@ -116,7 +120,7 @@ struct lts_soil_model {
   int32_t n_judged, n_named; /* n_named: those that are scalars of a frame */
   const double *limits, *middle;
   const int32_t *bits;
-  double judged_here, judged_near, least_soil, apart, crossed;
+  double judged_here, judged_near, least_soil, wall_beside, apart, crossed;
   double bound[3]; /* of the force: a constant (N of the field), of the spread, of the size; below 0: none */
 };
 

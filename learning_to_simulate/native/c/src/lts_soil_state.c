@@ -131,8 +131,10 @@ static void fit_tool(lts_soil *soil) {
   const double friction = tan(ground->friction_angle_deg * degree);
   const double weight = ground->density * ground->gravity / (m->standard_density * m->standard_gravity);
   const double edge = t->radius / s + m->bucket_edge * t->bucket;
-  const double blade[] = {t->width / 2.0 / s, friction, t->radius / s, t->length / s, t->bucket, t->plates, edge};
-  const double wheel[] = {t->width / 2.0 / s, friction, m->rim, t->lugs, t->lug_height / s, log(weight * s)};
+  const double stress = log(weight * s);
+  const double blade[] = {t->width / 2.0 / s, friction, t->radius / s, t->length / s,
+                          t->bucket,          t->plates, edge,         stress};
+  const double wheel[] = {t->width / 2.0 / s, friction, m->rim, t->lugs, t->lug_height / s, stress};
   for (int i = 0; i < m->n_own; ++i) {
     soil->own[i] = (float)(m->kind == LTS_SOIL_WHEEL ? wheel : blade)[i];
   }

@@ -82,12 +82,14 @@ static void find_conditions(const lts_soil *soil, const lts_passage *p, const lt
                             double found[LTS_SOIL_CONDITIONS]) {
   const lts_terrain *t = soil->terrain;
   const double *at = pose->position, half = soil->tool.width / 2.0;
+  const double *across = p->s.place.across, back[2] = {-across[0], -across[1]}, here[2] = {at[0], at[2]};
+  const double beside = fmin(lts_terrain_wall(t, here, across), lts_terrain_wall(t, here, back)) - half;
   double turns[3], local[3], level, beyond = 0.0, near = 0.0;
   lts_place_turns(&p->s.place, pose, turns);
   lts_place_local(&p->s.place, at, local);
   for (int i = 0; i < 4; ++i) { /* both ends, x and z */
     const int axis = i / 2;
-    const double end = at[2 * axis] + (i % 2 ? half : -half) * p->s.place.across[axis] - t->corner[axis];
+    const double end = at[2 * axis] + (i % 2 ? half : -half) * across[axis] - t->corner[axis];
     beyond = fmax(beyond, fmax(-end, end - t->cell[axis] * t->n[axis]));
   }
   const double over = at[1] - soil->tool.radius - t->floor;
@@ -110,6 +112,7 @@ static void find_conditions(const lts_soil *soil, const lts_passage *p, const lt
   const int is_blade = soil->model->kind == LTS_SOIL_BLADE;
   found[9] = p->s.memory[LTS_SOIL_MEMORIES - 1][2];
   found[10] = is_blade ? (soil->tool.bucket != 0.0 ? -p->s.pose[2] : p->s.pose[2]) : 0.0;
+  found[11] = fmax(soil->model->wall_beside - beside / soil->scale, 0.0);
 }
 
 /* Scalars, ground and conditions [n_judged]; in the air all is free but what the tool is. bears: whether soil acts on
@@ -117,7 +120,7 @@ static void find_conditions(const lts_soil *soil, const lts_passage *p, const lt
 static void find_judged(const lts_soil *soil, const lts_passage *p, const lts_pose *pose, int bears,
                         double *values) {
   const lts_soil_model *m = soil->model;
-  enum { N_PATH = 5 };
+  enum { N_PATH = LTS_SOIL_JUDGED_OWN };
   const int path[N_PATH] = {LTS_SOIL_LEAN, LTS_SOIL_AREA, LTS_SOIL_OF_PASSAGE(m, CARRIED), LTS_SOIL_SPEED,
                             LTS_SOIL_OF_PASSAGE(m, PRESSED)};
   for (int i = 0; i < m->n_named; ++i) {
@@ -128,7 +131,10 @@ static void find_judged(const lts_soil *soil, const lts_passage *p, const lts_po
     }
     values[i] = most;
   }
-  values[LTS_SOIL_JUDGED_SPEED] = (float)p->s.speed; /* of scalars at most what was taught */
+  /* Networks see at most what was taught of these. */
+  values[LTS_SOIL_JUDGED_SPEED] = (float)p->s.speed;
+  values[N_PATH + LTS_SOIL_FRICTION] = soil->own[LTS_SOIL_FRICTION];
+  values[N_PATH + LTS_SOIL_STRESS(m)] = soil->own[LTS_SOIL_STRESS(m)];
   const int touches = find_ground(soil, p, fmax(values[1], values[2]), values + m->n_named);
   if (bears < 0 ? touches : bears) {
     find_conditions(soil, p, pose, values + m->n_named + N_GROUND);

@@ -273,14 +273,18 @@ static void see_scalars(lts_soil *soil, const lts_passage *p) {
   const lts_soil_model *m = soil->model;
   const lts_way *w = &p->s;
   const double c = w->place.cosine, ground = w->place.height / soil->scale;
-  const double here = soil->scale * c * w->pose[0];
-  const double ahead = lts_terrain_wall(soil->terrain, &w->place, here, 1.0) / soil->scale;
-  const double behind = lts_terrain_wall(soil->terrain, &w->place, here, -1.0) / soil->scale;
+  const double *along = w->place.along, on = soil->scale * c * w->pose[0], back[2] = {-along[0], -along[1]};
+  const double here[2] = {w->place.origin[0] + on * along[0], w->place.origin[1] + on * along[1]};
+  const double ahead = lts_terrain_wall(soil->terrain, here, along) / soil->scale;
+  const double behind = lts_terrain_wall(soil->terrain, here, back) / soil->scale;
   const double height = ground + c * (w->pose[1] - ground + w->place.grade * w->pose[0]);
   const double below = height - soil->radius - soil->terrain->floor / soil->scale;
   const double owed = lts_soil_owed(soil, p);
-  /* Soil hardly knows time: a tool that is faster than any that was taught feels what the fastest did. */
-  const double fastest = m->limits[3 * m->n_judged + LTS_SOIL_JUDGED_SPEED];
+  /* A soil farther from those that were taught than half of their range is as the nearest one that is not, and a
+   * tool that is faster than any feels what the fastest did. */
+  const double *low = m->limits + 2 * (size_t)m->n_judged, *high = low + m->n_judged;
+  const double fastest = high[LTS_SOIL_JUDGED_SPEED];
+  const int of_soil[] = {LTS_SOIL_FRICTION, LTS_SOIL_STRESS(m)};
   double pressed[LTS_SOIL_STRIPS];
   find_pressed(soil, p, pressed);
   for (int j = 0; j < w->n_strip; ++j) {
@@ -299,6 +303,11 @@ static void see_scalars(lts_soil *soil, const lts_passage *p) {
       of[3] = (float)fmin(w->memory[i][3], fastest);
     }
     memcpy(s + LTS_SOIL_OWN, soil->own, (size_t)m->n_own * sizeof *s);
+    for (int i = 0; i < 2; ++i) {
+      const int k = of_soil[i], judged = LTS_SOIL_JUDGED_OWN + k;
+      const double reach = 0.5 * (high[judged] - low[judged]);
+      s[LTS_SOIL_OWN + k] = (float)fmin(fmax(soil->own[k], low[judged] - reach), high[judged] + reach);
+    }
     const double cut = m->spacing * sum_of_cuts(p->surface + LTS_SOIL_ROW(soil, j),
                                                 p->profile + LTS_SOIL_ROW(soil, j), 0, m->n_bin);
     s[LTS_SOIL_OF_PASSAGE(m, CARRIED)] = (float)(w->dropped[j] + cut + owed); /* (19) */

@@ -36,12 +36,11 @@ double lts_terrain_at(const lts_terrain *t, double x, double z) {
   return near + a * (far - near);
 }
 
-double lts_terrain_wall(const lts_terrain *t, const lts_place *place, double u, double way) {
+double lts_terrain_wall(const lts_terrain *t, const double here[2], const double way[2]) {
   double least = HUGE_VAL;
   for (int i = 0; t->walled && i < 2; ++i) {
-    const double along = way * place->along[i], here = place->origin[i] + u * place->along[i];
-    if (!(fabs(along) > 1e-12)) continue;
-    least = fmin(least, (t->corner[i] + (along > 0.0 ? t->cell[i] * t->n[i] : 0.0) - here) / along);
+    if (!(fabs(way[i]) > 1e-12)) continue;
+    least = fmin(least, (t->corner[i] + (way[i] > 0.0 ? t->cell[i] * t->n[i] : 0.0) - here[i]) / way[i]);
   }
   return least;
 }
