@@ -34,23 +34,13 @@ from mpm.simulation import Settings
 from pca_tools import command
 from pca_tools.files import read_json, write_json
 
+# Kinds of which each is a part.
+_ALONE = 'beside', 'soils', 'tools', 'trench', 'spread', 'backdrag', *operator_paths.BRIEF
 # Part -> (scene, kinds that take turns; none: the cases of the grid).
 PARTS = {
     'operator': (scenes.EXCAVATION, (*operator_paths.TURNS, 'halts')),
     'machine': (scenes.EXCAVATION, machine_drives.KINDS),
-    **{
-        kind: (scenes.EXCAVATION, (kind,))
-        for kind in (
-            'beside',
-            'soils',
-            'tools',
-            'trench',
-            'spread',
-            'backdrag',
-            'brief',
-            'gravity',
-        )
-    },
+    **{kind: (scenes.EXCAVATION, (kind,)) for kind in _ALONE},
     'excavation_grid': (scenes.EXCAVATION, ()),
     'wheel_free': (scenes.WHEEL, wheel_drives.TURNS),
     'wheel_height': (scenes.WHEEL, ('height',)),

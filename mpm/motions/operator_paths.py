@@ -37,7 +37,7 @@ from mpm.motions.drive import Drive, Levels, Track, poses
 TURNS = ('smooth', 'stops', 'reverse', 'lift', 'disturbed')  # of seeds, if no kind is named
 KINDS = (*TURNS, 'halts', 'beside', 'soils', 'tools', 'trench', 'spread', 'backdrag',
          'brief', 'gravity')  # fmt: skip
-BRIEF = ('brief', 'gravity')
+BRIEF = ('brief', 'gravity')  # with a tool and a soil of their own
 BINS = {'beside': 'wide', 'tools': 'wide', 'trench': 'long'}  # the others: the scene's own
 MAX_DEPTH, MIN_DEPTH = 0.10, 0.01  # m, of the edge below the flat surface
 MAX_SPEED = 0.15  # m/s along the bed
@@ -123,14 +123,8 @@ def operator_drive(
     """
     rng = np.random.default_rng([seed, KINDS.index(kind), 1])
     parameters = {'kind': kind, 'path_seed': seed}
-    if kind in ('soils', 'brief'):
-        parameters['ground'] = _draw_ground(rng)
-    elif kind == 'gravity':
-        gravity = math.exp(rng.uniform(*np.log(ANY_GRAVITY)))
-        friction = rng.uniform(*FRICTION_DEG)
-        parameters['ground'] = {
-            'friction_angle_deg': round(friction, 2), 'gravity': round(gravity, 3),
-        }  # fmt: skip
+    if kind in ('soils', *BRIEF):
+        parameters['ground'] = _draw_ground(rng, kind)
     if kind in ('tools', *BRIEF) and tool is None:
         tool = _draw_tool(rng, WIDTHS if kind == 'tools' else BRIEF_WIDTHS)
     drive, drawn = checks.first_that_fits(
@@ -142,7 +136,11 @@ def operator_drive(
     return drive, parameters | drawn
 
 
-def _draw_ground(rng) -> dict:
+def _draw_ground(rng, kind) -> dict:
+    if kind == 'gravity':
+        gravity = math.exp(rng.uniform(*np.log(ANY_GRAVITY)))
+        friction = round(rng.uniform(*FRICTION_DEG), 2)
+        return {'friction_angle_deg': friction, 'gravity': round(gravity, 3)}
     ground = {'friction_angle_deg': round(rng.uniform(*FRICTION_DEG), 2)}
     other = rng.random()
     if other < 0.25:

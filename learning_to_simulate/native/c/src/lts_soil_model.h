@@ -22,8 +22,8 @@ enum {
 #define LTS_SOIL_UNDER_ALONG 11 /* places at which soil is looked for that has risen under a tool in the air */
 #define LTS_SOIL_UNDER_ACROSS 5
 #define LTS_SOIL_CONDITIONS 12  /* the last of what is judged */
-#define LTS_SOIL_JUDGED_SPEED 3 /* the number of the speed among what is judged; of the tool's first number */
-#define LTS_SOIL_JUDGED_OWN 5
+#define LTS_SOIL_JUDGED_SPEED 3 /* where the speed is among what is judged */
+#define LTS_SOIL_JUDGED_OWN 5   /* and from where on the tool's own numbers are */
 /* Of the tool's numbers, those of its soil. */
 #define LTS_SOIL_FRICTION 1
 #define LTS_SOIL_STRESS(model) ((model)->n_own - 1)
