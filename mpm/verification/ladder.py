@@ -5,22 +5,24 @@
     python -m mpm.verification.ladder --rows=excavation:186/base,excavation:186/cubic
 
 One thing changes at a time: the cells, the particles a cell, the reach of the contact, the interval
-of the exchange. Every figure stands beside those of the solver as it is (`base`) and of cubic cells
-of the same size in the plane (`cubic`). Each run is kept in the JSON when it is
-made; the same command goes on with those that are absent (a base run takes about a minute of one
-core, the finest ones ten).
+of the exchange; for a bucket with side plates only the cells across. Every figure stands beside
+those of the solver as it is (`base`) and of cubic cells of the same size in the plane (`cubic`).
+Each run is kept in the JSON when it is made; the same command goes on with those that are absent (a
+base run takes about a minute of one core, the finest ones ten).
 
 The limit of the draft is extrapolated over the cells, F(h) = F0 + a h^p, with p from 1 to 2: the
 fit with p = 1.5, and half the range over p as its error.
 """
 
 import dataclasses
+import itertools
 import time
 from functools import partial
 
 import numpy as np
 
 from mpm import run, scenes
+from mpm.motions import catalogue
 from mpm.picture import panels
 from mpm.simulation import Settings
 from mpm.verification import bed
@@ -40,6 +42,8 @@ CASES = {
     'wheel:122': (80, 20, 0),
     'wheel:slip_0000': (80, 20, 0),
 }
+# 15 cm wide, with plates of 20 mm.
+BUCKET = {'excavation:tools_0023': (100, 45, 0)}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -60,11 +64,14 @@ VARIANTS = {
     'cells_1.5': Variant(1.5, 1.5),
     'cells_0.75': Variant(0.75, 0.75),
     'particles_1': Variant(per_cell=1.0),
-    'particles_4': Variant(per_cell=4.0),
     'exchanges_18': Variant(exchanges=18),
-    'exchanges_5': Variant(exchanges=5),
-    'reach_half': Variant(reach=0.5),
     'reach_double': Variant(reach=2.0),
+}
+ACROSS = {
+    'base': Variant(),
+    'across_half': Variant(across=0.5),
+    'cubic': Variant(across=1.0 / 3.0),
+    'across_sixth': Variant(across=1.0 / 6.0),
 }
 
 
@@ -87,9 +94,9 @@ def measured(name: str, variant: Variant) -> dict:
     """
     scene_name, case = name.split(':')
     case = int(case) if case.isdecimal() else case
-    scene = scenes.SCENES[scene_name]
+    scene = catalogue.in_bin(scenes.SCENES[scene_name], case)
     scene = dataclasses.replace(scene, bin=box_of(scene.bin, variant))
-    frames, first, _ = CASES[name]
+    frames, first, _ = (CASES | BUCKET)[name]
     settings = Settings(exchange=1.0 / (scenes.FRAME_RATE * variant.exchanges))
     motion = run.prepared(scene, case, settings)
     start = packed(scene.bin)[:, :3]
@@ -121,7 +128,7 @@ def compared(found: dict, reference: dict) -> dict:
     Returns:
         Mean draft and vertical force (N); the difference of both means over the length of the
         reference's mean force; the relative L2 difference of means over five frames; that of the
-        surface in mm RMS.
+        surface in mm RMS; the density of moved soil over the bed's (None: too little moved).
     """
     force, other = np.array(found['force']), np.array(reference['force'])
     change = (force.mean(axis=0) - other.mean(axis=0)) / np.linalg.norm(other.mean(axis=0))
@@ -133,6 +140,7 @@ def compared(found: dict, reference: dict) -> dict:
         'vertical_change': float(change[1]),
         'force_5_frames': float(np.linalg.norm(force - other) / np.linalg.norm(other)),
         'surface_mm': 1e-2 * float(np.sqrt((apart**2).mean())),
+        'density': found['density'],
     }
 
 
@@ -154,22 +162,41 @@ def summary(path: str) -> str:
             found = [
                 compared(runs[variant], runs['cubic'])
                 for name, runs in _read(path).items()
-                if name.startswith(scene) and variant in runs and 'cubic' in runs
+                if name in CASES and name.startswith(scene) and variant in runs and 'cubic' in runs
             ]
             if not found or variant == 'cubic':
                 continue
             cells = [f'{len(found)}']
             for key, form in (
-                ('draft_change', '{:+.0%}'),
-                ('vertical_change', '{:+.0%}'),
+                ('draft_change', '{:+.1%}'),
+                ('vertical_change', '{:+.1%}'),
                 ('force_5_frames', '{:.3f}'),
                 ('surface_mm', '{:.2f}'),
+                ('density', '{:.3f}'),
             ):
-                values = np.array([row[key] for row in found])
+                values = np.array([row[key] for row in found if row[key] is not None])
                 worst = values[np.abs(values).argmax()]
                 cells.append(f'{form.format(np.median(values))} ({form.format(worst)})')
             rows.append((f'{what}, {variant}', *cells))
-    header = ('variant', 'cases', 'draft', 'vertical force', 'five frames', 'surface, mm')
+    header = (
+        'variant', 'cases', 'draft', 'vertical force', 'five frames', 'surface, mm', 'density',
+    )  # fmt: skip
+    return markdown.table(header, rows)
+
+
+def side_plates(path: str) -> str:
+    """Returns, as Markdown, a bucket on shorter cells across; all over the shortest ones."""
+    rows = []
+    for name in BUCKET:
+        runs = _read(path).get(name, {})
+        for variant in ACROSS if 'across_sixth' in runs else ():
+            row = compared(runs[variant], runs['across_sixth'])
+            rows.append((
+                f'{1e3 * runs[variant]["cell_m"][2]:.3g}', f'{row["draft_N"]:.0f}',
+                f'{row["vertical_N"]:.0f}', f'{row["force_5_frames"]:.3f}',
+                f'{row["surface_mm"]:.2f}',
+            ))  # fmt: skip
+    header = ('cells across, mm', 'along x, N', 'upwards, N', 'five frames', 'surface, mm')
     return markdown.table(header, rows)
 
 
@@ -227,12 +254,13 @@ def _read(path) -> dict:
 
 def jobs(values=None) -> Jobs:
     """Returns what there is to make: all cases of a variant, then the next variant."""
-    return {
-        ('cases', name, variant): partial(measured, name, VARIANTS[variant])
-        for variant in VARIANTS
-        for name in CASES
-    }
+    made = {}
+    for cases, variants in ((CASES, VARIANTS), (BUCKET, ACROSS)):
+        for (variant, what), name in itertools.product(variants.items(), cases):
+            made['cases', name, variant] = partial(measured, name, what)
+    return made
 
 
 if __name__ == '__main__':
-    run_report('ladder', jobs, lambda path: f'{summary(path)}\n\n{limits(path)}', draw)
+    tables = summary, limits, side_plates
+    run_report('ladder', jobs, lambda path: '\n\n'.join(table(path) for table in tables), draw)

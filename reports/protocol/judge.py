@@ -278,7 +278,8 @@ def truth_errors(tool: str) -> dict:
     names = 'cases', 'surface_mm', 'force_relative_l2', 'drawbar_relative_l2'
     found: dict = {name: [] for name in names}
     for name, runs in files.read_json(LADDER)['cases'].items():
-        if not name.startswith(_LADDERS[tool]) or 'cubic' not in runs:
+        is_case = name in ladder.CASES and name.startswith(_LADDERS[tool])
+        if not is_case or 'cubic' not in runs:
             continue
         compared = ladder.compared(runs['base'], runs['cubic'])
         cells, forces = ladder.over_cells(name, runs)

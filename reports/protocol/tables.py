@@ -54,16 +54,21 @@ def methods(path: str) -> str:
         )
         cells = [_cell(found.get(key), key, key in BOTH) for key in columns]
         rows.append([method['name'] + (f' ({about})' if about else ''), *cells])
-    own = document['truth']
-    cells = [
-        markdown.cell(float((np.median if k in MEDIANS else np.mean)(own[k])))
-        if k in own else '' for k in columns
-    ]  # fmt: skip
+    own, cells = document['truth'], _own(document, columns)
     # Of the whole bed; near the tool it is larger.
     whole = markdown.cell(float(np.mean(own['surface_mm'])))
     cells[columns.index('near_mm')] = f'over {whole}'
     rows.append([f"*truth's own error* ({len(own['cases'])} cases)", *cells])
     return markdown.table(['method', *(TITLES[key] for key in columns)], rows)
+
+
+def _own(document, columns):
+    """The truth's own errors, as far as the ladder of grids knows them."""
+    own = document['truth']
+    return [
+        markdown.cell(float((np.median if k in MEDIANS else np.mean)(own[k])))
+        if k in own else '' for k in columns
+    ]  # fmt: skip
 
 
 def _cell(figure, key, ranges):
@@ -157,7 +162,7 @@ SHIPPED = {
 
 def shipped(*paths: str) -> str:
     """The shipped models with their mean errors on the runs that all methods know, beside
-    persistence."""
+    persistence and the truth's own errors."""
     rows = []
     for path in paths:
         document = judge.read(path)
@@ -171,4 +176,5 @@ def shipped(*paths: str) -> str:
             if name in figures:
                 rows.append((f'`{scene}/{folder}`', purpose, *cells(name)))
         rows.append((f'*{scene}: persistence*', 'soil and force stay', *cells('persistence')))
+        rows.append((f"*{scene}: truth's own error*", 'finer grids', *_own(document, IN_SHORT)))
     return markdown.table(('model', 'for', *(TITLES[q] for q in IN_SHORT)), rows)

@@ -94,7 +94,8 @@ def test_other_runs_have_another_digest(tmp_path):
 
 def variant(cell, draft, surface=0):
     return {
-        'force': [[draft, 0.0, 0.0]] * 3, 'surface': [[surface, surface]] * 2, 'cell_m': [cell] * 3
+        'force': [[draft, 0.0, 0.0]] * 3, 'surface': [[surface, surface]] * 2, 'cell_m': [cell] * 3,
+        'density': 1.0,
     }  # fmt: skip
 
 
