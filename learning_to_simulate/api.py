@@ -245,8 +245,8 @@ class TrainedModel:
 
         Args:
           data: gives runs to compare on.
-          kind: one of `exporting.FORMATS`: savedmodel, tflite (LiteRT), onnx, c, fmu; of a soil
-            field c or fmu.
+          kind: one of `exporting.FORMATS`: savedmodel, tflite (LiteRT), onnx, c; of a soil field
+            c or fmu.
 
         Raises:
           ValueError, OSError: as `exporting.export`.

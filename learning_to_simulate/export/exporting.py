@@ -69,7 +69,9 @@ def _exported(model_path, data_path, kind, n_tools):
         return CSoilField(model_path, data_path, n_tools or 1)
     if n_tools is not None:
         raise ValueError(f'n_tools is {n_tools}: only a soil field has several tools on a terrain')
-    if kind in native.FORMATS:
+    if kind == 'fmu':
+        raise ValueError(f'{model_path}: only a soil field has --format=fmu')
+    if kind == 'c':
         from learning_to_simulate.native.exporting import CModel
 
         return CModel(model_path, data_path)

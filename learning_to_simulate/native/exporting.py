@@ -1,5 +1,5 @@
-"""A trained model as a C project or an FMU, for `learning_to_simulate.export`: compiled, and
-compared with TensorFlow over the first test run of its dataset.
+"""A trained model as a C project, and a soil field as an FMU, for `learning_to_simulate.export`:
+compiled, and compared with TensorFlow over the first test run of its dataset.
 
 Of a model in the subspace both are steppers, so that what is compared is what a user gets.
 """

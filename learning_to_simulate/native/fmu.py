@@ -1,4 +1,4 @@
-"""Writes a model as an FMU of FMI 2.0 (co-simulation): sources, and a binary for this machine.
+"""Writes a soil field as an FMU of FMI 2.0 (co-simulation): sources, and a binary for this machine.
 
 Variables are numbered as modelDescription.xml and the C code of `c/fmi` number them. Names follow
 Chrono's tyre FMU (`wheel_state.pos.x`, `wheel_load.force.x`); a tool whose pose is prescribed is
@@ -17,8 +17,8 @@ from xml.etree import ElementTree
 from learning_to_simulate.native import library, project
 from learning_to_simulate.soil_field.tools import TOOLS, Soil
 
-# Of a soil field: places at which heights are told, along and across (fmu_soil.h), and what the
-# terrain is at first, m.
+# Places at which heights are told, along and across (fmu_core.h), and what the terrain is at first,
+# m.
 HEIGHTS = (9, 5)
 TERRAIN = {'size': (4.0, 2.0), 'cell': 0.02, 'height': 0.0, 'depth': 1.0, 'grid': 0.1}
 STEP = 0.01  # s, step of the default experiment
@@ -26,15 +26,13 @@ STEP = 0.01  # s, step of the default experiment
 
 class Variable(NamedTuple):
     """A scalar variable as modelDescription.xml has it; causality 'constant' is a local one.
-    `start` is None where it is calculated; `limits` are what else the description says of its
-    values."""
+    `start` is None where it is calculated."""
 
     name: str
     unit: str | None
     causality: str
     text: str
     start: float | str | None = None
-    limits: dict | None = None
 
 
 class Layout(NamedTuple):
@@ -43,9 +41,6 @@ class Layout(NamedTuple):
     Attributes:
       body: what its variables call the body.
       reals, integers, booleans, strings: variables by value reference.
-      dt: step of the default experiment, s.
-      derivatives: whether there are directional ones.
-      kind: of the C files, `fmu_<kind>.c`.
       lines: of fmu_model.h, with first value and kind of each real.
     """
 
@@ -54,24 +49,7 @@ class Layout(NamedTuple):
     integers: list[Variable]
     booleans: list[Variable]
     strings: list[Variable]
-    dt: float
-    derivatives: bool
-    kind: str
     lines: list[str]
-
-
-def layout_of(values: dict, tools: int = 1) -> Layout:
-    """The layout of `model_data.values` or `soil_data.values`, with a number of tools; ValueError
-    for a model without a body or a start, or with another number of tools."""
-    if project.is_soil(values):
-        if not 1 <= tools <= 16:
-            raise ValueError(f'tools is {tools}: 1 to 16 tools can work on the terrain of an FMU')
-        return _of_soil(values, tools)
-    if tools != 1:
-        raise ValueError(f'tools is {tools}: a model in the subspace has one body')
-    if not (values['n_start'] and values['n_rigid']):
-        raise ValueError('an FMU needs a body, and a start from the training runs')
-    return _of_graph(values)
 
 
 def _inputs(state, place, point, attitude):
@@ -108,48 +86,6 @@ def _digest(values):
     return Variable('digest', None, 'constant', text, values['digest'])
 
 
-# ---- models in the subspace ----
-
-_BOOLEANS = {
-    'ok': 'nothing of the following has held since the start',
-    'extrapolating': 'context, start, pose or speed lies outside the training runs',
-    'left_bounds': 'the soil left twice the hull of its training positions, or the force is above '
-    'twice the largest of training',
-    'non_finite': 'a position or force is not finite',
-}
-
-
-def _of_graph(values):
-    c = library.constants()
-    body = 'tool' if values['motion'] == c['LTS_PRESCRIBED'] else 'wheel'
-    place = values['starts'][0]['points'].mean(axis=0)
-    names = values['context_names'].split(',') if values['n_context'] else []
-    reals = [
-        *_inputs(f'{body}_state', place, 'the mean of the body points',
-                 'rotation from the start attitude'),
-        *_load(f'{body}_load', '0: the model has learned no torque'),
-        Variable('sinkage', 'm', 'output' if body == 'wheel' else 'local',
-                 'height lost since the start'),
-        Variable('drawbar_pull', 'N', 'output', 'force along the horizontal velocity'),
-        Variable('step_size', 's', 'constant', 'a frame of the model; never split', values['dt']),
-        *(Variable(name, None, 'parameter', 'of the scene', value)
-          for name, value in zip(names, values['starts'][0]['context'])),
-    ]  # fmt: skip
-    text = 'which training start; -1: the one whose parameters are nearest'
-    limits = {'min': '-1', 'max': str(values['n_start'] - 1)}
-    given = values['motion'] in (c['LTS_PRESCRIBED'], c['LTS_DRIVEN'])
-    numbered: dict[int, Variable] = dict(enumerate(reals))
-    return Layout(
-        body, numbered, [Variable('start', None, 'parameter', text, '-1', limits)],
-        [Variable(f'status.{name}', None, 'output', text) for name, text in _BOOLEANS.items()],
-        [_digest(values)], values['dt'], False, 'graph',
-        [f'#define FMU_CONTEXT {values["n_context"]}', f'#define FMU_GIVEN {int(given)}',
-         *_table(numbered, len(reals))],
-    )  # fmt: skip
-
-
-# ---- soil fields ----
-
 _SHAPE = {
     'width': ('m', 'across the way'),
     'radius': ('m', 'of the lower edge, or of the rim between grousers'),
@@ -160,7 +96,7 @@ _SHAPE = {
     'lug_height': ('m', 'of the grousers'),
 }  # as in lts_soil_tool
 _SPREADS = ('along', 'up', 'across')
-_SOIL_BOOLEANS = {
+_BOOLEANS = {
     'ok': 'all frames since the start resemble the training runs',
     'ok_now': 'the newest frame resembles them',
     'extrapolating': 'tool, soil, terrain, pose or speed lies outside the training runs',
@@ -168,7 +104,10 @@ _SOIL_BOOLEANS = {
 }
 
 
-def _of_soil(values, tools):
+def layout_of(values: dict, tools: int = 1) -> Layout:
+    """The layout of `soil_data.values` with a number of tools; ValueError for another number."""
+    if not 1 <= tools <= 16:
+        raise ValueError(f'tools is {tools}: 1 to 16 tools can work on the terrain of an FMU')
     c = library.constants()
     name = 'wheel' if values['kind'] == c['LTS_SOIL_WHEEL'] else 'blade'
     body, tool = 'tool' if name == 'blade' else 'wheel', TOOLS[name]()
@@ -189,18 +128,18 @@ def _of_soil(values, tools):
         strings.append(Variable(f'status{index}.text', None, 'output', 'the same in words'))
         booleans += [
             Variable(f'status{index}.{label}', None, 'output', text)
-            for label, text in _SOIL_BOOLEANS.items()
+            for label, text in _BOOLEANS.items()
         ]
     ground = _ground()
     reals |= dict(enumerate(ground, count))
     return Layout(
-        body, reals, integers, booleans, strings, STEP, True, 'soil',
+        body, reals, integers, booleans, strings,
         [f'#define FMU_TOOLS {tools}', f'#define FMU_STEP {STEP!r}',
          *_table(reals, count + len(ground))],
     )  # fmt: skip
 
 
-N_OF_TOOL = 31 + HEIGHTS[0] * HEIGHTS[1] + len(_SHAPE)  # VR_TOOL of fmu_soil.h
+N_OF_TOOL = 31 + HEIGHTS[0] * HEIGHTS[1] + len(_SHAPE)  # VR_TOOL of fmu_core.h
 
 
 def _of_tool(name, body, index, place, tool):
@@ -299,8 +238,8 @@ def guid(values: dict, layout: Layout) -> str:
 
 
 def description(name: str, values: dict, layout: Layout, sources) -> bytes:
-    """modelDescription.xml of FMI 2.0, of a model of a name, `model_data.values` or
-    `soil_data.values`, its variables and the names of the C files."""
+    """modelDescription.xml of FMI 2.0, of a model of a name, `soil_data.values`, its variables and
+    the names of the C files."""
     sub = ElementTree.SubElement
     root = ElementTree.Element(
         'fmiModelDescription', fmiVersion='2.0', modelName=name, guid=guid(values, layout),
@@ -309,9 +248,7 @@ def description(name: str, values: dict, layout: Layout, sources) -> bytes:
         numberOfEventIndicators='0',
     )  # fmt: skip
     can = ('HandleVariableCommunicationStepSize', 'GetAndSetFMUstate', 'SerializeFMUstate')
-    able = {f'can{what}': 'true' for what in can}
-    if layout.derivatives:
-        able['providesDirectionalDerivative'] = 'true'
+    able = {f'can{what}': 'true' for what in can} | {'providesDirectionalDerivative': 'true'}
     simulation = sub(root, 'CoSimulation', modelIdentifier=name, **able)
     listed = sub(simulation, 'SourceFiles')
     for file in sources:
@@ -322,7 +259,7 @@ def description(name: str, values: dict, layout: Layout, sources) -> bytes:
     categories = sub(root, 'LogCategories')
     for category, text in _LOG_CATEGORIES.items():
         sub(categories, 'Category', name=category, description=text)
-    sub(root, 'DefaultExperiment', startTime='0', stopTime='1', stepSize=repr(layout.dt))
+    sub(root, 'DefaultExperiment', startTime='0', stopTime='1', stepSize=repr(STEP))
     outputs, variables = [], sub(root, 'ModelVariables')
 
     def scalar(vr, kind, variable):
@@ -330,14 +267,12 @@ def description(name: str, values: dict, layout: Layout, sources) -> bytes:
             'name': variable.name, 'valueReference': str(vr), 'description': variable.text
         }  # fmt: skip
         attributes |= _CAUSALITIES[variable.causality]
-        if kind == 'Real' and variable.causality == 'output' and layout.derivatives:
+        if kind == 'Real' and variable.causality == 'output':
             attributes['variability'] = 'continuous'
         found = sub(variables, 'ScalarVariable', **attributes)
-        more = dict(variable.limits or {})
-        if variable.unit is not None:
-            more['unit'] = variable.unit
+        more = {} if variable.unit is None else {'unit': variable.unit}
         if (start := variable.start) is not None:
-            more['start'] = start if isinstance(start, str) else repr(float(start))
+            more['start'] = start if isinstance(start, str) else repr(start)
         sub(found, kind, **more)
         if variable.causality == 'output':
             outputs.append(str(len(variables)))
@@ -357,13 +292,11 @@ def description(name: str, values: dict, layout: Layout, sources) -> bytes:
 
 
 def write(path: str, name: str, values: dict, tools: int = 1) -> None:
-    """Writes the FMU of a model of a name (`project.symbol`), `model_data.values` or
-    `soil_data.values`, and a number of tools on a terrain; without a C compiler it holds sources
-    only.
+    """Writes the FMU of a soil field of a name (`project.symbol`), `soil_data.values`, and a number
+    of tools on a terrain; without a C compiler it holds sources only.
 
     Raises:
-      ValueError: no start, a model without a body, another number of tools, or sources that do not
-        compile.
+      ValueError: another number of tools, or sources that do not compile.
     """
     layout = layout_of(values, tools)
     with tempfile.TemporaryDirectory() as folder:
@@ -376,7 +309,7 @@ def write(path: str, name: str, values: dict, tools: int = 1) -> None:
         os.makedirs(os.path.join(folder, 'documentation'))
         project.write_template(
             'fmi/index.html.in', os.path.join(folder, 'documentation', 'index.html'),
-            {'NAME': name, 'BODY': layout.body} | _about(values),
+            {'NAME': name, 'BODY': layout.body},
         )  # fmt: skip
         try:
             binaries = os.path.join(folder, 'binaries', _PLATFORM)
@@ -387,26 +320,10 @@ def write(path: str, name: str, values: dict, tools: int = 1) -> None:
         _zip(folder, path)
 
 
-def _about(values):
-    if project.is_soil(values):
-        return {
-            'MOMENT': 'The moment is about the point.',
-            'STEPS': 'A communication step may last any time. The terrain is level at first and '
-            'consists of what the parameters say; heights are told about each tool. Directional '
-            'derivatives are those of force and moment in the coming step, which lasts as long as '
-            'the last one, by the inputs of the same tool.',
-        }
-    return {
-        'MOMENT': 'The model has learned no torque, and the moment is 0.',
-        'STEPS': f'A frame of the model is {values["dt"]:.6g} s and is never split. Shorter '
-        'communication steps hold the force, longer ones take several frames.',
-    }
-
-
 def _write_sources(folder, name, values, layout):
     project.write_sources(folder, name, values)
-    parts = ('fmu_core.h', f'fmu_{layout.kind}.h', f'fmu_{layout.kind}.c', 'fmi2.c')
-    for part in [*project.headers(values), *(f'fmi/{part}' for part in parts)]:
+    parts = 'fmi/fmu_core.h', 'fmi/fmu_soil.c', 'fmi/fmi2.c'
+    for part in [*project.headers(values), *parts]:
         project.copy(part, folder)
     project.write_template(
         'cmake/model.h.in', os.path.join(folder, f'{name}.h'), project.words(name, values)
@@ -416,7 +333,6 @@ def _write_sources(folder, name, values, layout):
         f'#include "{name}.h"',
         f'#define FMU_MODEL {name}',
         f'#define FMU_GUID "{guid(values, layout)}"',
-        f'#define FMU_LAYOUT "fmu_{layout.kind}.h"',
         *layout.lines,
     ]
     with open(os.path.join(folder, 'fmu_model.h'), 'w', encoding='utf-8') as file:

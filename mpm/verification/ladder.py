@@ -147,11 +147,20 @@ def compared(found: dict, reference: dict) -> dict:
 def limit(cells: np.ndarray, drafts: np.ndarray) -> tuple[float, float]:
     """Returns the draft (N) at cells of no size and its error (see the module), from the drafts [K]
     (N) at cells [K] (m, in the plane), K >= 3."""
-    limits = []
-    for order in (1.0, 1.5, 2.0):
-        design = np.stack([np.ones(len(cells)), cells**order], axis=1)
-        limits.append(float(np.linalg.lstsq(design, drafts, rcond=None)[0][0]))
+    limits = [_fit(cells, drafts, order)[0] for order in (1.0, 1.5, 2.0)]
     return limits[1], (max(limits) - min(limits)) / 2.0
+
+
+def order_of(cells: np.ndarray, drafts: np.ndarray) -> float:
+    """Returns the p from 0.5 to 4 with which F(h) = F0 + a h^p meets the drafts [K] best."""
+    return float(min(np.linspace(0.5, 4.0, 71), key=lambda p: _fit(cells, drafts, p)[1]))
+
+
+def _fit(cells, drafts, order):
+    """F0, and the sum of the squares that are left."""
+    design = np.stack([np.ones(len(cells)), cells**order], axis=1)
+    found = np.linalg.lstsq(design, drafts, rcond=None)[0]
+    return float(found[0]), float(((design @ found - drafts) ** 2).sum())
 
 
 def summary(path: str) -> str:
@@ -174,9 +183,10 @@ def summary(path: str) -> str:
                 ('surface_mm', '{:.2f}'),
                 ('density', '{:.3f}'),
             ):
-                values = np.array([row[key] for row in found if row[key] is not None])
-                worst = values[np.abs(values).argmax()]
-                cells.append(f'{form.format(np.median(values))} ({form.format(worst)})')
+                values = [row[key] for row in found if row[key] is not None]
+                worst = max(values, key=abs, default=None)
+                text = f'{form.format(np.median(values))} ({form.format(worst)})' if values else ''
+                cells.append(text)
             rows.append((f'{what}, {variant}', *cells))
     header = (
         'variant', 'cases', 'draft', 'vertical force', 'five frames', 'surface, mm', 'density',
@@ -209,9 +219,16 @@ def limits(path: str) -> str:
             value, error = limit(cells, forces)
             base = np.mean(runs['base']['force'], axis=0)[CASES[name][2]]
             what = ('along x', 'upwards')[CASES[name][2]]
-            ratio = f'{base / value - 1.0:+.0%}'
-            rows.append((name, what, f'{base:.0f}', f'{value:.0f} +- {error:.0f}', ratio))
-    header = ('case', 'force', 'ground truth, N', 'limit, N', 'ground truth over it')
+            finer = forces[0] if cells[0] < runs['base']['cell_m'][0] else None
+            rows.append((
+                name, what, f'{base:.0f}', f'{base / finer - 1.0:+.0%}' if finer else '',
+                f'{order_of(cells, forces):.1f}' if len(cells) > 3 else '',
+                f'{value:.0f} +- {error:.0f}', f'{base / value - 1.0:+.0%}',
+            ))  # fmt: skip
+    header = (
+        'case', 'force', 'ground truth, N', 'over cells of 3/4', 'order', 'limit, N',
+        'ground truth over it',
+    )  # fmt: skip
     return markdown.table(header, rows)
 
 

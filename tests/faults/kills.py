@@ -103,7 +103,7 @@ def _export(folder):
             mock.patch.object(exporting_c.CModel, '_compared', return_value={'skipped': 'here'}),
             mock.patch.object(library, 'compile_sources', quick),
         ):
-            exporting.export(f'{folder}/model', f'{folder}/trained_on', f'{folder}/exported', 'fmu')
+            exporting.export(f'{folder}/model', f'{folder}/trained_on', f'{folder}/exported', 'c')
 
 
 def _save_results(folder):

@@ -10,7 +10,6 @@ import pytest
 
 import learning_to_simulate as lts
 from learning_to_simulate.native import fmu, library, soil_data
-from learning_to_simulate.native.binding import CSubspace
 from learning_to_simulate.soil_field.stepper import SoilStepper
 from learning_to_simulate.soil_field.terrain import Terrain
 from learning_to_simulate.soil_field.tools import Blade, Soil, Wheel
@@ -22,20 +21,6 @@ from fmpy.fmi1 import FMICallException  # noqa: E402
 
 pytestmark = worlds.needs_c
 PARTS = {'pos': 'xyz', 'rot': ('e0', 'e1', 'e2', 'e3'), 'lin_vel': 'xyz', 'ang_vel': 'xyz'}
-
-
-def _write(folder, **case):
-    """(path of the FMU, `worlds.Graph`)."""
-    made = worlds.graph(folder / 'data', **case)
-    path = str(folder / 'soil.fmu')
-    fmu.write(path, 'lts_small', made.values)
-    return path, made
-
-
-@pytest.fixture(scope='module')
-def shared(tmp_path_factory):
-    """The FMU of a driven body."""
-    return _write(tmp_path_factory.mktemp('fmu'), motion='driven', context=True)
 
 
 class _Slave:
@@ -90,47 +75,6 @@ class _Slave:
         self.c.freeInstance()
 
 
-def test_is_valid_and_simulates(shared, tmp_path):
-    free, _ = _write(tmp_path, motion='predicted', context=True)
-    for path in (shared[0], free):
-        assert validation.validate_fmu(path) == []
-        result = fmpy.simulate_fmu(path, stop_time=0.2, output_interval=1 / 60)
-        force = [n for n in result.dtype.names if '.force.' in n]
-        assert len(force) == 3 and all(np.isfinite(result[n]).all() for n in force)
-        assert np.abs(result[force[0]][2:]).max() > 0
-
-
-def _pose(start, twist, t):
-    """[7] of a body that keeps its twist [6], turning about z."""
-    half = 0.5 * t * twist[5]
-    return np.array([*(start + t * twist[:3]), np.cos(half), 0.0, 0.0, np.sin(half)])
-
-
-def test_equals_the_stepper_for_every_step_of_the_master(shared, tmp_path):
-    """Frame by frame, in single milliseconds and in steps of three frames: frames stay whole."""
-    path, (model, group, starts, values) = shared
-    dt, twist = model.simulator.scene.dt, np.array([-0.06, -0.02, 0.0, 0.0, 0.0, 0.4])
-    first = values['starts'][0]['points'].mean(axis=0)
-    stepper = CSubspace.of(model, group.n_rigid, starts=starts)
-    pose = _pose(first, twist, 0.0)
-    worlds.started(stepper, 0, pose, twist, values['starts'][0]['context'])
-    later = (_pose(first, twist, k * dt) for k in range(1, 19))
-    expected = np.array([worlds.step_at(stepper, pose).force for pose in later])
-    for h in (dt, dt / 16, 3 * dt):
-        slave = _Slave(path, tmp_path / f'h{h:.4f}', lin_vel=twist[:3], ang_vel=twist[3:])
-        forces = []
-        for k in range(round(18 * dt / h)):
-            pose = _pose(first, twist, k * h)
-            slave.set(pos=pose[:3], rot=pose[3:])
-            slave.step(h)
-            done = (k + 1) * h / dt
-            if abs(done - round(done)) < 1e-6:
-                forces.append(slave.get('force'))
-        slave.free()
-        every = max(1, round(h / dt))
-        np.testing.assert_allclose(forces, expected[every - 1 :: every], rtol=1e-4, atol=1e-3)
-
-
 def assert_states_go_on(one, other, steps, elsewhere, h, further=()):
     """After half of the steps (inputs of `_Slave.set`) of the one, the others give the same bits:
     again, and from the bytes of the state in another instance that was elsewhere. Returns the
@@ -159,67 +103,6 @@ def assert_states_go_on(one, other, steps, elsewhere, h, further=()):
     return saved
 
 
-def test_rollback_serialised_states_and_two_instances_are_bit_exact(shared, tmp_path):
-    h, slow, fast = 0.011, np.array([-0.02, 0, 0]), np.array([-0.06, 0, 0])
-    one, other = (_Slave(shared[0], tmp_path / n, n, lin_vel=fast) for n in ('a', 'b'))
-    place = one.get('point')
-    ways = [
-        [{'pos': place + k * h * v, 'lin_vel': v} for k in range(count)]
-        for v, count in ((fast, 12), (slow, 5))
-    ]
-    assert_states_go_on(one, other, *ways, h)
-    for slave in (one, other):
-        slave.free()
-
-
-def test_status_is_told_and_bad_input_is_refused(shared, tmp_path):
-    path, made = shared
-    slave = _Slave(path, tmp_path / 'x')
-    ok, outside = (slave.vr[f'status.{n}'] for n in ('ok', 'extrapolating'))
-    slave.set(pos=made.values['starts'][0]['points'].mean(axis=0) + [3.0, 0, 0])
-    slave.step(made.model.simulator.scene.dt)
-    assert slave.c.getBoolean([ok, outside]) == [False, True]
-    assert {category for category, _ in slave.logged} == {'logStatusWarning'}
-    texts = [text for _, text in slave.logged]
-    assert any('pose lies outside' in t for t in texts)
-    assert any('coordinate' in t and t.endswith('of training') for t in texts)
-    for act in (
-        lambda: slave.set(pos=[np.nan, 0, 0]),
-        lambda: slave.set(step_size=0.1),
-        lambda: slave.set(gravity=9.0),
-        lambda: slave.c.setReal([999], [0.0]),
-        lambda: slave.c.doStep(slave.time, -1.0),
-        lambda: (slave.set(rot=[0, 0, 0, 0]), slave.step(0.1)),
-    ):
-        with pytest.raises(FMICallException):
-            act()
-    slave.free()
-    with pytest.raises(ValueError, match='one body'):
-        fmu.write(str(tmp_path / 'y.fmu'), 'lts_small', made.values, 2)
-    with pytest.raises(ValueError, match='needs a body'):
-        fmu.write(str(tmp_path / 'y.fmu'), 'lts_small', made.values | {'n_start': 0})
-
-
-def test_sources_alone_build_the_binary(shared, tmp_path):
-    """As an importer on another machine does: one folder, no network, no flags."""
-    with zipfile.ZipFile(shared[0]) as archive:
-        archive.extractall(tmp_path)
-        names = archive.namelist()
-    assert 'binaries/linux64/lts_small.so' in names or os.name != 'posix'
-    root = ElementTree.parse(tmp_path / 'modelDescription.xml')
-    listed = [file.get('name') for file in root.iter('File')]
-    sources = [str(tmp_path / 'sources' / name) for name in listed]
-    built = str(tmp_path / 'again.so')
-    subprocess.run(
-        [*library.compiler(), '-O1', '-fPIC', '-shared', f'-I{tmp_path}/sources', *sources,
-         '-o', built, '-lm'], check=True,
-    )  # fmt: skip
-    symbols = subprocess.run(['nm', '-D', built], capture_output=True, text=True).stdout
-    assert sum(' T fmi2' in line for line in symbols.splitlines()) == 34
-
-
-# ---- soil fields ----
-
 KINDS = {'blade': Blade(0.3, 0.02, 0.2, 1.0), 'wheel': Wheel(0.1, 0.08, 12, 0.008)}
 SOIL = Soil(33.0, 1600.0, 3.7)
 H = 1 / 64  # a sum of them is exact
@@ -234,6 +117,24 @@ def soils(tmp_path_factory):
         fmu.write(path, f'lts_{kind}', soil_data.values(field), tools)
         found[kind, tools] = path, field
     return found
+
+
+def test_sources_alone_build_the_binary(soils, tmp_path):
+    """As an importer on another machine does: one folder, no network, no flags."""
+    with zipfile.ZipFile(soils['blade', 1][0]) as archive:
+        archive.extractall(tmp_path)
+        names = archive.namelist()
+    assert 'binaries/linux64/lts_blade.so' in names or os.name != 'posix'
+    root = ElementTree.parse(tmp_path / 'modelDescription.xml')
+    listed = [file.get('name') for file in root.iter('File')]
+    sources = [str(tmp_path / 'sources' / name) for name in listed]
+    built = str(tmp_path / 'again.so')
+    subprocess.run(
+        [*library.compiler(), '-O1', '-fPIC', '-shared', f'-I{tmp_path}/sources', *sources,
+         '-o', built, '-lm'], check=True,
+    )  # fmt: skip
+    symbols = subprocess.run(['nm', '-D', built], capture_output=True, text=True).stdout
+    assert sum(' T fmi2' in line for line in symbols.splitlines()) == 34
 
 
 def _parameters(kind, tools=1, cell=0.02):

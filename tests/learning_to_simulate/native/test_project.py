@@ -136,6 +136,8 @@ def test_without_a_compiler_nothing_is_compared_and_with_a_bad_one_nothing_is_wr
     saved, tmp_path, monkeypatch, kind
 ):
     out = str(tmp_path / 'out')
+    if kind == 'fmu':
+        saved = 'models/excavation/soil_field', 'datasets/excavation'
     monkeypatch.setenv('CC', 'none')
     description = exporting.export(*saved, out, kind)
     assert 'no C compiler' in exporting.summary(description, out)

@@ -1,17 +1,20 @@
-/* What fmi2.c, the functions of the standard, asks of a model: fmu_graph.c or fmu_soil.c, around the C interface.
- * Functions return null, or what is wrong. */
+/* What fmi2.c, the functions of the standard, asks of fmu_soil.c: a soil field with FMU_TOOLS tools on a terrain that
+ * begins level. Functions return null, or what is wrong. */
 #ifndef FMU_CORE_H
 #define FMU_CORE_H
 
 #include <stddef.h>
 #include <string.h>
 
-#include "fmu_model.h" /* generated: the model, its GUID, its numbers of variables, and FMU_LAYOUT */
+#include "fmu_model.h" /* generated: the model, its GUID, its tools and variables */
 
 typedef enum { FMU_CREATED, FMU_INITIALISING, FMU_STEPPING, FMU_TERMINATED } fmu_phase;
 
-/* Value references of the reals of a body that both kinds of models have; modelDescription.xml is written from the same
- * order. */
+/* Places at which heights are told, along and across, the tool in the middle. */
+enum { FMU_ALONG = 9, FMU_ACROSS = 5 };
+
+/* Value references of the reals of a tool, of which the first begins at 0, the second at VR_TOOL, and so on; then those
+ * of the ground. modelDescription.xml is written from the same order. */
 enum {
   VR_POSITION = 0,
   VR_ROTATION = 3,
@@ -20,12 +23,44 @@ enum {
   VR_POINT = 13, /* the first output */
   VR_FORCE = 16,
   VR_MOMENT = 19,
-  VR_OWN = 22
+  VR_SPREAD = 22,
+  VR_BOUND = VR_SPREAD + 6,
+  VR_SINKAGE,
+  VR_DRAWBAR,
+  VR_HEIGHTS,
+  VR_SHAPE = VR_HEIGHTS + FMU_ALONG * FMU_ACROSS, /* the first parameter: lts_soil_tool */
+  VR_TOOL = VR_SHAPE + 7
+};
+enum {
+  VR_GROUND = VR_TOOL * FMU_TOOLS,
+  VR_SIZE = VR_GROUND, /* along x and z */
+  VR_CELL = VR_GROUND + 2,
+  VR_HEIGHT,
+  VR_DEPTH,
+  VR_FRICTION,
+  VR_DENSITY,
+  VR_GRAVITY,
+  VR_GRID,
+  N_REAL
 };
 /* What a real variable is, by its value reference: FMU_KINDS of fmu_model.h. */
 enum { FMU_NONE, FMU_INPUT, FMU_OUTPUT, FMU_PARAMETER, FMU_CONSTANT };
 
-#include FMU_LAYOUT /* of a kind of model: N_REAL, N_BOOLEAN, `fmu_own`, `fmu_model` */
+enum { N_BOOLEAN = 4 }; /* of a tool: ok, ok_now, extrapolating, non_finite */
+
+typedef struct {
+  double h;            /* of the last step, s */
+  int told[FMU_TOOLS]; /* status bits that have held since the start */
+} fmu_own;
+
+typedef struct {
+  lts_terrain ground;
+  void *memory[FMU_TOOLS];
+  lts_soil *soil[FMU_TOOLS];
+  int shown[FMU_TOOLS]; /* whether heights are those of now */
+  double *built; /* reals that it was built for */
+  char text[FMU_TOOLS][200], wrong[200];
+} fmu_model;
 
 /* What a saved state begins with. */
 typedef struct {
