@@ -14,7 +14,6 @@ import tensorflow as tf
 from learning_to_simulate import checkpoints, evaluation, reading_utils
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.config import FullSpaceConfig
-from learning_to_simulate.full_space import data_parallel
 from learning_to_simulate.full_space.simulator import (
     ParticleSimulator,
     ParticleStatistics,
@@ -118,33 +117,22 @@ def history_of(group, run: int, end: int):
 
 class ParticleTrainer(GradientTraining):
     """Single steps with random-walk noise: holds one `RunGroup` of particles, the optimiser and one
-    compiled step; batches are made on the host, and dealt to the processes that train together
-    (`share`; None for this one alone).
+    compiled step; batches are made on the host. ValueError: runs shorter than a window."""
 
-    Raises:
-      ValueError: runs shorter than a window, or batches that cannot be dealt to the processes.
-    """
-
-    def __init__(self, model, group, share=None):
+    def __init__(self, model, group):
         super().__init__(model.simulator, clip_norm=1.0)
-        self._group, self._share = group, share
+        self._group = group
         if self._group.position.shape[1] <= H:
             raise ValueError(
                 f'runs of {self._group.position.shape[1]} frames are shorter than the training '
                 f'window of {H + 1} frames'
             )
-        if share:
-            share.refuse_batch(self.config.batch_size)
         self._compiled = tf.function(self._train_step, autograph=False, reduce_retracing=True)
 
     def step(self, step: int) -> dict[str, tf.Tensor]:
         rng = self.generator(_WINDOW_STREAM, step)
         windows = self._windows(rng, self.config.batch_size)
-        # Every process draws all noise, so that a sample has the same wherever it is made.
-        drawn = [(run, start, self._walk(rng)) for run, start in windows]
-        if self._share:
-            drawn = drawn[self._share.index :: self._share.count]
-        batch = self._batch([self._sample(*sample) for sample in drawn])
+        batch = self._batch([self._sample(run, start, self._walk(rng)) for run, start in windows])
         return self._compiled(tf.constant(step, tf.float32), *batch)
 
     def batch_of(self, step: int) -> list[tuple[int, int]]:
@@ -231,8 +219,6 @@ class ParticleTrainer(GradientTraining):
         with tf.GradientTape() as tape:
             values = self._losses(*batch)
         gradients = tape.gradient(values['loss'], variables)
-        if self._share:
-            gradients, values = self._share.mean((gradients, values))
         self.optimizer.apply_gradients(zip(gradients, variables, strict=True))
         self.averaging.update(step)
         return values
@@ -276,7 +262,7 @@ def make_model(data_path, metadata, group, config, rigid_motion=None) -> Particl
 
 def train(data_path, model_path, config, options) -> dict:
     """Trains to the end, or resumes; see `registry.train`."""
-    raw_path, share = options.raw_path, data_parallel.Share()
+    raw_path = options.raw_path
     metadata = dataset.read_metadata(data_path)
     read = [
         read_runs(data_path, raw_path, split, metadata, config.soil_particles)
@@ -288,7 +274,7 @@ def train(data_path, model_path, config, options) -> dict:
     weights = sum(int(np.prod(v.shape)) for v in model.simulator.trainable_variables)
     training = loop.Training(
         model=model,
-        trainer=ParticleTrainer(model, read[0], share if share.count > 1 else None),
+        trainer=ParticleTrainer(model, read[0]),
         evaluator=ParticleEvaluator(model, {} if raw_path else metadata),
         valid=read[1:],
         n_rigid=read[0].n_rigid,
@@ -301,8 +287,7 @@ def train(data_path, model_path, config, options) -> dict:
         f'{read[0].n_rigid} rigid and {scene.n_soil} soil particles, radius '
         f'{scene.connectivity_radius:.4g} m, {weights} weights',
     )
-    training.agree_on = share.refuse_other_step
-    return loop.run(training, share.folder(model_path), options)
+    return loop.run(training, model_path, options)
 
 
 def load(path: str) -> ParticleModel:

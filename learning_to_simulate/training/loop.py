@@ -44,8 +44,6 @@ class Training:
         name -> sha256; None where there is nothing.
       close_gates: called with the model folder when the edges have been learned; says what they
         are. None where none are learned.
-      agree_on: called with the first step and the model folder; raises ValueError if it is not that
-        of all processes that train together. None for one process.
     """
 
     model: Any
@@ -57,7 +55,6 @@ class Training:
     title: str
     write_files: Callable[[str], dict[str, str]] | None = None
     close_gates: Callable[[str], str] | None = None
-    agree_on: Callable[[int, str], None] | None = None
 
 
 def run(training: Training, model_path: str, options: TrainOptions) -> dict:
@@ -71,8 +68,6 @@ def run(training: Training, model_path: str, options: TrainOptions) -> dict:
         state = TrainingState(model_path, training.trainer)
         whole_files.remove_temporary(model_path)
         start = state.restore()
-        if training.agree_on:
-            training.agree_on(start, model_path)
         if start:
             print(f'resumed {model_path} at step {start}')
         print(f'{training.title}, {training.trainer.config.num_steps} steps')
