@@ -1,7 +1,7 @@
 """Contact between soil and bodies, at the particles.
 
 A particle stands for soil up to half a spacing h around it in the plane of travel, so it touches a
-body when its signed distance d from the surface (`bodies.signed_distance`) falls below a = h / 2:
+body when its signed distance d from the surface (`distance.signed_distance`) falls below a = h / 2:
 
     normal      N = k (a - d)                        not negative                      (5)
     friction    T = -k g,  |T| <= mu N               g: the grip                       (6)
@@ -27,9 +27,9 @@ from typing import NamedTuple
 import numba
 
 from mpm import vectors
-from mpm.bodies import signed_distance
 from mpm.columns import GRIP, JIT, index
 from mpm.constitutive import Soil
+from mpm.distance import signed_distance
 from mpm.transfers import WEIGHTS, interpolate, scatter, strides_of
 
 RADIUS = 0.5  # of the particle spacing in the plane

@@ -35,10 +35,8 @@ import time
 from absl import flags
 
 from mpm import bodies, scenes
-from mpm.batch import generate
 from mpm.motions import catalogue
 from mpm.motions.recording import Recording
-from mpm.simulation import Settings
 from pca_tools import command
 
 
@@ -112,6 +110,9 @@ def define_place_flags() -> None:
 
 
 def main(values) -> None:
+    from mpm.batch import generate  # help does not wait for Numba
+    from mpm.simulation import Settings
+
     started = time.time()
     scene, runs, tool = chosen_runs(values)
     runs = runs or scene.mini

@@ -27,9 +27,8 @@ import time
 
 from absl import flags
 
-from mpm import bodies, run, scenes
+from mpm import bodies, scenes
 from mpm.motions import catalogue
-from mpm.simulation import Settings
 from pca_tools import command, files
 from pca_tools.storage.folder_lock import locked
 
@@ -93,6 +92,9 @@ class Work:
 
 def planned(tool: dict, count: int) -> tuple[scenes.Scene, str, list[str]]:
     """The scene, the kinds and the ids of the runs of a tool, all checked (ValueError)."""
+    from mpm import run  # help does not wait for Numba
+    from mpm.simulation import Settings
+
     scene = scenes.SCENES['wheel' if 'radius' in tool else 'excavation']
     is_wide = scene.name == 'excavation' and tool['width'] > WIDE
     kinds = 'tools' if is_wide else KINDS[scene.name]

@@ -9,20 +9,23 @@ import dataclasses
 import hashlib
 import json
 import os
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mpm import scenes
-from mpm.run import RawRun
 from pca_tools import raw_runs
 from pca_tools.files import MANIFEST_NAME, fingerprint, read_json, read_npz, write_json, write_npz
+
+if TYPE_CHECKING:
+    from mpm.run import RawRun
 
 
 def file_name(case: int | str) -> str:
     return f'run_{case:03d}.npz' if isinstance(case, int) else f'run_{case}.npz'
 
 
-def write_run(folder: str, run: RawRun) -> dict:
+def write_run(folder: str, run: 'RawRun') -> dict:
     case = run.parameters['case']
     path = os.path.join(folder, file_name(case))
     write_npz(path, **arrays_of(run), parameters=np.array(json.dumps(run.parameters)))
@@ -35,14 +38,14 @@ def write_run(folder: str, run: RawRun) -> dict:
     }
 
 
-def arrays_of(run: RawRun) -> dict[str, np.ndarray]:
+def arrays_of(run: 'RawRun') -> dict[str, np.ndarray]:
     """Returns the arrays of a run by name, those that it has."""
     arrays = {field.name: getattr(run, field.name) for field in dataclasses.fields(run)}
     del arrays['parameters']
     return {name: array for name, array in arrays.items() if array is not None}
 
 
-def content_digest(run: RawRun) -> str:
+def content_digest(run: 'RawRun') -> str:
     """Returns the sha256 of what a run holds, in hexadecimal: same seed, same digest.
 
     It covers names, shapes, bytes (little-endian) and parameters, not the compression of the file
@@ -57,9 +60,11 @@ def content_digest(run: RawRun) -> str:
     return found.hexdigest()
 
 
-def read_run(path: str) -> RawRun:
+def read_run(path: str) -> 'RawRun':
     """Reads one run of this solver (`pca_tools.raw_runs` reads those of any origin); ValueError: it
     is none."""
+    from mpm.run import RawRun  # help does not wait for Numba
+
     arrays = read_npz(path)
     try:
         return RawRun(parameters=json.loads(str(arrays.pop('parameters'))), **arrays)

@@ -27,10 +27,8 @@ from typing import NamedTuple
 from absl import flags, logging
 
 from mpm import raw_run, scenes, splits
-from mpm.batch import generate
 from mpm.generate import define_place_flags
 from mpm.motions import catalogue, machine_drives, operator_paths, wheel_drives
-from mpm.simulation import Settings
 from pca_tools import command
 from pca_tools.files import read_json, write_json
 
@@ -130,6 +128,9 @@ def make(
     A part whose runs fail does not keep the next from being made; in the end they are a ValueError,
     as an unknown part or split is. Others as `batch.generate`.
     """
+    from mpm.batch import generate  # help does not wait for Numba
+    from mpm.simulation import Settings
+
     failures = []
     for part, cases in {part: runs_of(part, selection) for part in parts}.items():
         scene, _ = PARTS[part]

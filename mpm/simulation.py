@@ -5,8 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mpm import bodies, columns, packing, solver, stability
+from mpm import columns, packing, solver, stability
 from mpm.constitutive import Soil
+from mpm.distance import signed_distances
 from mpm.grid import make_grid
 from mpm.motions.drive import Drive
 from mpm.scenes import FRAME_RATE, Bin
@@ -241,7 +242,7 @@ class Simulation:
         none is inside), and `inside`, the number of particles deeper than a quarter of a cell."""
         # What sleeps does not move, and is far from the body.
         rows = self._particles if self._block is None else self._block.particles
-        depth = -bodies.signed_distances(self.drive.body, self.pose, rows[:, :3])
+        depth = -signed_distances(self.drive.body, self.pose, rows[:, :3])
         deepest = max(0.0, float(depth.max(initial=0.0)) / self.grid.dx)
         return {'deepest_cells': deepest, 'inside': int((depth > 0.25 * self.grid.dx).sum())}
 

@@ -7,7 +7,8 @@ do not move, so it is a rigid bed, with its stress kept, to the soil that is awa
 
 import numpy as np
 
-from mpm.bodies import Body, signed_distances
+from mpm.bodies import Body
+from mpm.distance import signed_distances
 from mpm.grid import Grid
 
 # Soil moves if its mean speed over a period exceeds this share of the body's, and at least SLOWEST.

@@ -31,10 +31,11 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from mpm.bodies import Body, make_wheel, signed_distances
+from mpm.bodies import Body, make_wheel
 from mpm.columns import CHUNK, ELASTIC, GRIP, JIT, LEFT_GRID, OK, TURNED_INSIDE_OUT, X
 from mpm.constitutive import Soil
 from mpm.contact import ContactLaw, contact, make_contact
+from mpm.distance import signed_distances
 from mpm.grid import Grid, clear, kick, start_nodes
 from mpm.stability import damping_time, steps_in
 from mpm.transfers import WEIGHTS, grid_to_particles, particles_to_grid, strain_and_force

@@ -33,7 +33,7 @@ from mpm.columns import (
     index,
     row,
 )
-from mpm.constitutive import pressure_of, update_stress
+from mpm.stress import pressure_of, update_stress
 
 
 @numba.njit(inline='always', **JIT)
@@ -251,7 +251,7 @@ def return_elastic(block, n):
 def strain_and_force(block, nodes, grid, dt, volume, soil, damping_time):
     """Eq. (2), the stress update over `dt` (s), and eq. (3) added to the nodes' forces.
 
-    `damping_time` (s): see `constitutive.update_stress`.
+    `damping_time` (s): see `stress.update_stress`.
     """
     gradient, stress, kept = block.gradient, block.stress, block.weights
     velocity, force = nodes.velocity, nodes.force

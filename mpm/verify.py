@@ -15,10 +15,12 @@ import os
 
 from absl import flags
 
-from mpm.verification import kernel_rows, rows, run_rows
+from mpm.verification import rows
 
 
 def jobs(raw_path: str) -> rows.Jobs:
+    from mpm.verification import kernel_rows, run_rows  # help does not wait for Numba
+
     checks = kernel_rows.rows_of(raw_path) | run_rows.rows_of(raw_path)
     return {('entries', name): make for name, make in checks.items()}
 

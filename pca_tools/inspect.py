@@ -38,7 +38,6 @@ FAR_FACTOR = 3.0
 # Statistics of a part of the runs differ from those of all runs, but not by this factor.
 STATISTICS_FACTOR = 10.0
 STATISTICS_TOLERANCE = 1e-4
-HISTORY = 6  # H, frames that a model is given
 OK, WARN, ERROR = 'OK', 'WARN', 'ERROR'
 _MAX_NAMED = 5
 
@@ -412,9 +411,9 @@ def _check_pickles(found: Inspection) -> None:
 def report(found: Inspection) -> str:
     blocks = [found.folder]
     if found.metadata is not None:
-        blocks += [_contents(found), _floors(found)]
+        blocks.append(_contents(found))
     if found.splits:
-        blocks[2:2] = [_kinds(found), _ranges(found), _trivial(found)]
+        blocks += [_kinds(found), _ranges(found)]
     findings = [f'  {level:<6}{text}' for level, text in found.findings]
     counts = collections.Counter(level for level, _ in found.findings)
     total = '  ' + ', '.join(f'{counts[level]} {level}' for level in (OK, WARN, ERROR))
@@ -503,58 +502,6 @@ def _ranges(found: Inspection) -> str:
         for name, low, high in zip(names, values.min(axis=0), values.max(axis=0)):
             rows.append((f'context {name}', f'{low:.4g} .. {high:.4g}'))
     return markdown.table(('range', 'x', 'y', 'z'), rows, aligned=True)
-
-
-def _trivial(found: Inspection) -> str:
-    """Errors of the predictors that need no model; only where N is known."""
-    if found.n_soil is None:
-        return ''
-    rows, notes = [], []
-    for split, part in found.splits.items():
-        long = [run for run in part if run.n_frames > HISTORY]
-        if len(long) < len(part):
-            notes.append(
-                f'{split}: {len(part) - len(long)} runs of {HISTORY} frames or fewer, which a '
-                'model is given, are left out'
-            )
-        if long:
-            errors = [trivial_errors(run, found.n_soil) for run in long]
-            keys = ('stay_still', 'constant_velocity')
-            rows.append((split, *(1e4 * float(np.mean([e[key] for e in errors])) for key in keys)))
-    header = ('soil MSE without a model [1e-4 m^2]', 'persistence', 'constant velocity')
-    return '\n'.join([markdown.table(header, rows, aligned=True), *notes])
-
-
-def trivial_errors(trajectory: Trajectory, n_soil: int) -> dict[str, float]:
-    """Mean squared errors (m^2) of the predictors that need no model, `stay_still` and
-    `constant_velocity`, on the soil of a run of more than `HISTORY` frames, inside the subspace.
-
-    W is orthonormal, so squared score errors / (3 N) are mean squared particle errors.
-    """
-    scores = trajectory.position[:, trajectory.n_rigid :].astype(np.float64)
-    last, truth = scores[HISTORY - 1], scores[HISTORY:]
-    steps = np.arange(1, len(truth) + 1)[:, None, None]
-    velocity = last - scores[HISTORY - 2]
-    return {
-        name: float(np.mean(np.sum((prediction - truth) ** 2, axis=(1, 2))) / (3 * n_soil))
-        for name, prediction in (
-            ('stay_still', last),
-            ('constant_velocity', last + steps * velocity),
-        )
-    }
-
-
-def _floors(found: Inspection) -> str:
-    held = found.metadata.get('projection_floors')
-    if not isinstance(held, dict) or not isinstance(held.get('modes'), list):
-        return ''
-    rows = [
-        (split, *(1e3 * value**0.5 for value in values))
-        for split, values in held.items()
-        if split != 'modes'
-    ]
-    header = ('RMS that modes leave [mm]', *map(str, held['modes']))
-    return markdown.table(header, rows, aligned=True)
 
 
 def main(_, arguments: Sequence[str]) -> int:

@@ -88,9 +88,18 @@ def test_commands(run):
     assert 'excavation/soil_field' in run('lts', 'list').split()
 
 
+@pytest.mark.slow
 def test_own_data_by_the_lines_of_the_documents(run):
-    """Raw runs by the script of docs/data.md, then the first commands of the README."""
+    """Raw runs by the script of docs/data.md, then the commands of the README, on a few steps of
+    the network that needs no height maps."""
     (block,) = re.findall(r'```python\n(.*?)```', (ROOT / 'docs/data.md').read_text(), re.DOTALL)
     run('python', '-c', block)
-    run('lts', 'convert', '--raw_path=raw/own', '--output_path=my_data')
-    assert '5 runs' in run('lts', 'inspect', 'my_data')
+    (lines,) = re.findall(r'```\n(lts convert.*?)```', (ROOT / 'README.md').read_text(), re.DOTALL)
+    steps = '--preset=mlp --num_steps=4 --set=unroll_steps=0'
+    said = {}
+    lines = lines.replace('=raw ', '=raw/own ').replace('--model=soil_field', steps)
+    for line in lines.splitlines():
+        said[line.split()[1]] = run(*line.split(), *['--format=png'] * ('render' in line))
+    assert list(said) == ['convert', 'inspect', 'train', 'evaluate', 'render']
+    assert '5 runs' in said['inspect'] and 'persistence' in said['evaluate']
+    assert '.png' in said['render']

@@ -183,6 +183,7 @@ class SoilNetworks(tf.Module):
                 place = tip[..., None] + tf.constant(offsets, tf.float32)
                 found = self._at(bins, known, strips, none, place)
                 if 'beside' in names:
+                    # The neighbour as it is cut by now, the profile (2).
                     other = self._at(bins, ['surface', 'cut'], j, none, place)
                     found['beside'] = other['surface'] - other['cut']
                 return found
@@ -200,6 +201,7 @@ class SoilNetworks(tf.Module):
         )
         place = tip[..., None] + tf.constant(AROUND_TOOL, tf.float32)
         highest = tf.reduce_max(self._at(bins, ['surface'], strips, none, place)['surface'], -1)
+        # (10): a tool that is lifted has its load until its heap is cleared, too.
         heap = HEAP * tf.sqrt(tf.maximum(tf.maximum(values['area'], values['carried']), 0.0))
         clearance = values['height'] - values['radius'] - highest
         kappa = tf.clip_by_value((heap + ABOVE - clearance) / RAMP, 0.0, 1.0)
@@ -216,15 +218,20 @@ class SoilNetworks(tf.Module):
         found = tf.reshape(found, [-1, b, k, 2, 5])
         gain = tf.exp(tf.clip_by_value(found[..., 4:], -GAIN_LIMIT, GAIN_LIMIT))
         unit = tf.constant([FORCE, FORCE, TORQUE, FORCE])
+        # (11): each of the J strips bears its part of the width.
         share = kappa * width[:, None] / (WIDTH[self.tool.name] * count)
         shares, found = found, found[..., :4] * gain * unit * share[None, ..., None, None]
         if self.tool.bears:
             up = found[..., 1:2]
+            # A wheel's other loads are shares of what it bears, which under a load is known.
             known = up if borne is None else borne[None, :, None, None, None] / count
             along, _, turn, side = tf.split(known * shares[..., :4], 4, axis=-1)
             found = tf.concat([along, up, self.tool.RIM * turn, side], axis=-1)
+        # (12): a strip was asked once with each neighbour. In the plane both answers count the
+        # same; across, those of the two sides push against each other.
         plane = tf.reduce_mean(found[..., :3], axis=3)  # of strips
         across = tf.reduce_sum(found[..., 0, 3] - found[..., 1, 3], axis=2)
+        # z_j, middles of the strips about that of the tool.
         lever = (tf.range(count) - (count - 1.0) / 2.0) * width[:, None] / count
         along, up, turn = (plane[..., i] for i in range(3))
         sums = [
@@ -271,6 +278,7 @@ class SoilNetworks(tf.Module):
             tf.stack(beside, axis=-1),
             self._read(self.tables.tool, values, look_at_tool),
         ]
+        # g of (13): at rest far from the cut, before the first motion, and far to the side.
         across = (values['half_width'] + BESIDE - tf.abs(z)) / BESIDE_RAMP
         gate = here['influence'] * tf.clip_by_value(values['way'] / STIR, 0.0, 1.0)
         return seen, gate * tf.clip_by_value(across, 0.0, 1.0), values, look
@@ -303,8 +311,10 @@ class SoilNetworks(tf.Module):
         seen, gate, values, look = self._places(bins, scalars, places, strips)
         values['y'] = places[..., 1]
         seen.insert(1, self._read(self.tables.particle, values, look))
+        # (15): soil well below the cones (9) rests.
         deep = values['disturbed'] + BELOW - (values['surface'] - values['y'])
         gate = gate * tf.clip_by_value(deep / BELOW_RAMP, 0.0, 1.0)
+        # Motion across is odd in z: in the middle soil goes to neither side.
         odd = gate * tf.clip_by_value(values['z'] / ACROSS, -1.0, 1.0)
         return tf.concat(seen, axis=-1), tf.stack([gate, gate, odd], axis=-1)
 

@@ -92,6 +92,7 @@ class Passage:
         self.state = sweep.start(self._pose, self._read)
         self.level = float(self.state.surface.mean())
         if set_down:
+            # The way down is swept as well: the first frame has its cut (3) and memory (7).
             surface, above = self.state.surface, self._pose.copy()
             above[1] = max(above[1], surface.max() + self._radius + SET_DOWN)
             self.state = sweep.start(above, lambda u: surface)
@@ -109,6 +110,7 @@ class Passage:
     def seen(self, pose) -> np.ndarray:
         """u, y (m of the field) and lean (rad) of a pose [7]."""
         pose = checked_pose(pose)
+        # (25); on a slope the lean counts from it.
         u, y, _ = self.place.laid(self.place.local(pose[:3])) / self.scale
         return np.array([u, y, self.place.turns(pose)[0] - np.arctan(self.place.grade)])
 
@@ -121,6 +123,7 @@ class Passage:
         surface = self.state.surface[self.strips.under]
         is_under = np.abs(self.state.origin + sweep.OFFSETS - pose[0]) < UNDER
         highest = surface[:, is_under].max(initial=surface.mean())
+        # The text below (22): after a turn back any height above the terrain will do.
         is_back = pose[0] < self.state.foremost[self.strips.under].max() - BACK
         least = 0.0 if is_back else self.tool.lifted
         return bool(pose[1] - self._radius > highest + least)
@@ -147,6 +150,7 @@ class Passage:
         other = Passage(
             self.terrain, self.tool, pose, self._rise, set_down=False, place=place, lays=self._lays
         )
+        # The memory (7) holds directions, which turn with the ground.
         change = np.arctan(place.grade) - np.arctan(self.place.grade)
         (along, up), c, s = self.state.memory[:, :2].T, np.cos(change), np.sin(change)
         memory = self.state.memory.copy()  # seen from the new ground
@@ -224,6 +228,7 @@ class Passage:
 
     def _read(self, u):
         read = self.strips.heights(self.terrain, self.place, self.scale, u)
+        # The heights of (25), which lie at u / cos alpha on the map.
         ground, c = self.place.height / self.scale, self.place.cosine
         return ground + c * (read - ground - self.place.grade * c * u)
 
@@ -266,6 +271,8 @@ class Passage:
 
     @property
     def _owed_now(self):
+        # (19) without what is cut now. A chunk of cells leaves at once; over the way of a chunk C
+        # goes to what that makes of it, and does not jump.
         goal = -self._left_behind / (self.tool.width / self.scale) - self._dropped
         way = (self.state.travelled - self._owed_at) / (sweep.CHUNK * sweep.SPACING)
         return self._owed + min(way, 1.0) * (goal - self._owed)
@@ -284,10 +291,12 @@ class Passage:
         before = now[cells]
         left = before.copy()
         _, new, old = np.intersect1d(cells, self._cells, assume_unique=True, return_indices=True)
+        # What stayed in sight is still what it was before the tool came: s in (3).
         before[new], left[new] = self._before[old], self._left[old]
         gone = np.ones(len(self._cells), bool)
         gone[old] = False
         self.gone = self._cells[gone]
+        # The two sums over d of (19): what rose there, and what was cut there.
         self._left_behind += self._cell * (now[self.gone] - self._before[gone]).sum() / self.scale
         self._dropped = float(self.state.dropped[self.strips.under].mean())
         self._cells, self._before, self._left = cells, before, left
@@ -331,6 +340,7 @@ class Passage:
         rise = np.asarray(self._rise(self, places), np.float64) / self.place.cosine
         if self._keeps_volume():
             up, down = (np.maximum(sign * rise, 0.0).sum() for sign in (1, -1))
+            # (20): heaps in sight hold what is cut in sight, less what heaps behind hold already.
             goal = down - self._left_behind / self._cell
             factor = np.clip(goal / max(up, 1e-12), *FACTOR)
             rise = np.where(rise > 0, factor * rise, rise)
@@ -390,10 +400,11 @@ class Passage:
         ahead, behind = (
             min(self.terrain.wall(here, way) / self.scale, AHEAD) for way in (along, -along)
         )
+        # (25) the other way round: floors lie upright below, also on a slope.
         height = ground + c * (s.pose[1] - ground + self.place.grade * s.pose[0])
         below = height - self._radius - self.terrain.floor / self.scale
         under = self.strips.under
-        pressed = np.zeros(len(s.surface))  # beside the tool there is no back
+        pressed = np.zeros(len(s.surface))  # (26); beside the tool there is no back
         pressed[under] = sweep.pressed(s, self._radius, *self.tool.back(s.pose[2]))[under]
         columns = [
             *self._values, self.carried, np.clip(below, 0.0, BELOW), ahead,

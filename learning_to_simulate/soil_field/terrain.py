@@ -125,6 +125,7 @@ class Terrain:
             for dx, dz in ways:
                 a, b = _pair(dx, dz)
                 steepest = self.soil.friction * np.hypot(*(self.cell * [dx, dz]))
+                # Between cells of which one is kept no slope is too steep.
                 group.append((a, b, np.where(free[a] & free[b], steepest, np.inf)))
             groups.append((share, group))
         for _ in range(SLIDES):
@@ -132,6 +133,7 @@ class Terrain:
             for share, group in groups:
                 moved = np.zeros_like(box)
                 for a, b, steepest in group:
+                    # What one cell gives its neighbour gets, so the volume stays.
                     fall = box[a] - box[b]
                     excess = fall - np.clip(fall, -steepest, steepest)
                     moved[a] -= share * excess
@@ -202,6 +204,7 @@ class Terrain:
         none."""
         if not self.walled:
             return np.inf
+        # On each axis the border that the way runs to; the nearer one is met first.
         ends = [self.corner, self.corner + self.cell * self.shape]
         ways = [
             (ends[int(way[axis] > 0)][i] - here[axis]) / way[axis]

@@ -26,9 +26,6 @@ from mpm import bodies, scenes
 from mpm.motions import catalogue, grid
 from mpm.motions.drive import Drive, Machine, poses, under_load
 from mpm.picture import panels
-from mpm.simulation import Settings
-from mpm.solver import EXCHANGE
-from mpm.verification import run_rows
 from mpm.verification.rows import Jobs, read_kept, run_report
 from pca_tools.storage import markdown
 
@@ -94,6 +91,10 @@ def ball_depth(drop: float, friction_deg: float, density: float) -> float:
 
 def dropped(drop: float) -> dict:
     """Returns how deep (mm) a ball goes that falls onto the bed, and the published depth."""
+    from mpm.simulation import Settings  # help does not wait for Numba
+    from mpm.solver import EXCHANGE
+    from mpm.verification import run_rows
+
     ground, box = scenes.Ground(), BALL_BIN
     body = bodies.make_ball(BALL_DIAMETER)
     mass = BALL_DENSITY * math.pi * BALL_DIAMETER**3 / 6.0
@@ -135,6 +136,8 @@ def drive_of(wheel: Wheel, slip: float) -> Drive:
 
 def measured(wheel: Wheel, slip: float) -> dict:
     """Returns drawbar (N), sinkage (mm) and torque (N m) of a wheel at a slip, steady means."""
+    from mpm.verification import run_rows
+
     scene = dataclasses.replace(scenes.WHEEL, bin=BIN)
     motion = catalogue.Motion('anchor', drive_of(wheel, slip), {}, FRAMES, wheel.ground)
     simulation, rows = run_rows.simulation_of(scene, motion), []

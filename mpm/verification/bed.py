@@ -5,8 +5,8 @@ from scipy.ndimage import minimum_filter
 from scipy.spatial import cKDTree
 
 from mpm import columns, packing
-from mpm.bodies import signed_distances
 from mpm.constitutive import Soil
+from mpm.distance import signed_distances
 from mpm.grid import make_grid, start_nodes
 from mpm.scenes import CORNER, EARTH_GRAVITY, Bin
 from mpm.solver import make_block, make_nodes

@@ -9,11 +9,12 @@ import numpy as np
 
 from mpm import columns, packing
 from mpm.columns import CHUNK
-from mpm.constitutive import make_soil, update_stress
+from mpm.constitutive import make_soil
 from mpm.experiments import Experiment, blade_in_weightless_soil
 from mpm.scenes import CORNER, EARTH_GRAVITY, PACKING_MU_S, SCENES, Bin, Scene
 from mpm.simulation import Settings
 from mpm.solver import make_block
+from mpm.stress import update_stress
 from mpm.transfers import keep_elastic, return_elastic
 from mpm.verification import bed, incline
 from mpm.verification.rows import Check

@@ -9,7 +9,7 @@ import numpy as np
 from tqdm import tqdm
 
 from mpm import bodies, earthmoving, packing, raw_run, run, scenes
-from mpm.generate import generate
+from mpm.batch import generate
 from mpm.motions import catalogue, grid
 from mpm.motions.drive import Drive, Machine, poses
 from mpm.scenes import EXCAVATION, WHEEL
@@ -154,7 +154,7 @@ def moved_soil(case: int) -> list[Check]:
     return [Check(name, density, 1.005, 0.025, f'{frames} frames, over that of the bed')]
 
 
-def run_of(scene: scenes.Scene, case: int, raw_path: str) -> raw_run.RawRun:
+def run_of(scene: scenes.Scene, case: int, raw_path: str) -> run.RawRun:
     """Returns a run of a folder, simulated into it if it is absent."""
     folder = os.path.join(raw_path, scene.name)
     generate(scene, (case,), folder, Settings())

@@ -14,8 +14,11 @@ from pca_tools import files
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 # What takes half a second and more to load.
-HEAVY = 'tensorflow', 'keras', 'matplotlib', 'sklearn', 'scipy.interpolate'
-NRI = 'nri.simulate', 'nri.train', 'nri.export_edges'
+HEAVY = 'tensorflow', 'keras', 'matplotlib', 'sklearn', 'scipy.interpolate', 'numba'
+OTHERS = (
+    'nri.simulate', 'nri.train', 'nri.export_edges', 'mpm.picture', 'mpm.record', 'mpm.verify',
+    'mpm.verification.anchors',
+)  # fmt: skip
 
 
 def lts(*arguments, absent=('tensorflow',), module='learning_to_simulate.cli'):
@@ -36,9 +39,9 @@ def test_commands_are_listed():
     assert unknown.returncode == 1 and unknown.stderr.startswith("error: no command 'dig'")
 
 
-@pytest.mark.parametrize('name', [*cli.COMMANDS, *NRI])
+@pytest.mark.parametrize('name', [*cli.COMMANDS, *OTHERS])
 def test_help_waits_for_no_heavy_package_and_ends_with_0(name):
-    if name in NRI:
+    if name in OTHERS:
         done = lts('--help', absent=HEAVY, module=name)
     else:
         done = lts(name, '--help', absent=HEAVY)

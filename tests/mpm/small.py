@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from mpm import columns, constitutive, packing, run, scenes
+from mpm import columns, constitutive, packing, run, scenes, stress
 from mpm.scenes import Scene, sampled
 from mpm.simulation import Settings
 from mpm.solver import make_block
@@ -55,7 +55,7 @@ def update(row, gradient, dt, damping=0.0):
     block = make_block(row[None])
     keep_elastic(block, 0)
     block.gradient[:: columns.CHUNK] = np.ravel(gradient)
-    constitutive.update_stress(block, 0, 1, dt, SOIL, damping)
+    stress.update_stress(block, 0, 1, dt, SOIL, damping)
     return_elastic(block, 0)
     row[:] = block.particles[0]
     return block.stress[:: columns.CHUNK].copy()

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from mpm import bodies
+from mpm import bodies, distance
 from mpm.motions import operator_paths
 
 BUCKET = bodies.tool_body(operator_paths.bucket(0.1, 0.3, True))
@@ -62,7 +62,7 @@ def is_inside(body, p):
 
 def signed(body, points, angle=0.0):
     sine, cosine = math.sin(angle), math.cos(angle)
-    return np.array([bodies.signed_distance(body, sine, cosine, *point) for point in points])
+    return np.array([distance.signed_distance(body, sine, cosine, *point) for point in points])
 
 
 @EACH

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from mpm import columns, constitutive
+from mpm import columns, constitutive, stress
 from tests.mpm.small import SOIL, update
 
 
@@ -22,7 +22,7 @@ def implicit_residual(tau, trial, p, dt, soil):
 def relaxed(trial, p, dt):
     """`relax_local`, whose last term a = G I0 dt sqrt(p / rho_s) / d."""
     a = SOIL.shear_modulus * SOIL.inertial_number_0 * dt * math.sqrt(p / SOIL.grain_density)
-    return constitutive.relax_local(trial, p, a / SOIL.grain_diameter, SOIL.mu_s, SOIL.mu_2)
+    return stress.relax_local(trial, p, a / SOIL.grain_diameter, SOIL.mu_s, SOIL.mu_2)
 
 
 def particle(ratio, *stress):
@@ -92,7 +92,7 @@ def test_small_strain_is_hookes_law():
     deviator = 2 * SOIL.shear_modulus * (small - np.trace(small) / 3 * np.eye(3))
     expected = deviator[[0, 1, 2, 0, 1, 2], [0, 1, 2, 1, 2, 0]]
     np.testing.assert_allclose(row[columns.S : columns.S + 6], expected, rtol=1e-9)
-    pressure = constitutive.pressure_of(row[columns.VOLUME_RATIO] - 1.0, SOIL.bulk_modulus)
+    pressure = stress.pressure_of(row[columns.VOLUME_RATIO] - 1.0, SOIL.bulk_modulus)
     assert pressure == pytest.approx(-SOIL.bulk_modulus * np.trace(strain), rel=1e-4)
 
 

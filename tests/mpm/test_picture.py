@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mpm import batch, bodies, picture, scenes
+from mpm import batch, bodies, distance, picture, scenes
 from mpm.motions import operator_paths
 from mpm.motions.recording import Recording
 from mpm.simulation import Settings
@@ -26,7 +26,7 @@ def test_outline_lies_on_the_surface(body):
     cosine, sine = np.cos(pose[2]), np.sin(pose[2])
     wide = body._replace(half_width=9.0, plates=np.zeros((0, 2)))
     for x, y in ring - pose[:2]:
-        assert abs(bodies.signed_distance(wide, sine, cosine, x, y, 0.0)[0]) < 1e-12
+        assert abs(distance.signed_distance(wide, sine, cosine, x, y, 0.0)[0]) < 1e-12
 
 
 def test_runs_are_drawn_whatever_moved_the_tool(tmp_path, monkeypatch):

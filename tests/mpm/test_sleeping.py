@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from mpm import bodies, sleeping
+from mpm.distance import signed_distances
 from mpm.grid import make_grid
 from mpm.scenes import CORNER, Bin
 from tests.mpm import small
@@ -37,7 +38,7 @@ def test_soil_that_moved_and_soil_near_the_body_is_awake():
         assert sleep.awake(positions, BLADE, path, period).all()  # all of it at first
     before = sleep.awake(positions, BLADE, path, period)
     # Near the body, against a distance from bodies alone.
-    distance = np.min([bodies.signed_distances(BLADE, pose, positions) for pose in path], axis=0)
+    distance = np.min([signed_distances(BLADE, pose, positions) for pose in path], axis=0)
     reach = sleeping.BODY_REACH
     assert before[distance < reach - 1e-9].all() and not before[distance > 1.5 * reach].any()
     # One grain moves faster than a three thousandths of the blade's 0.1 m/s, another one slower.

@@ -6,8 +6,9 @@ import math
 import numpy as np
 import pytest
 
-from mpm import bodies, columns, constitutive, experiments, run, stability
+from mpm import bodies, columns, experiments, run, stability, stress
 from mpm.constitutive import make_soil
+from mpm.distance import signed_distances
 from mpm.motions.drive import poses
 from mpm.scenes import CORNER, EARTH_GRAVITY, Bin
 from mpm.simulation import Settings
@@ -73,7 +74,7 @@ def test_soil_takes_no_more_energy_than_the_blade_gives_and_stays_out_of_it(modu
     assert 0.2 * work < energy_of(experiment, gravity=0.0) <= work
     seconds = math.ceil(0.08 / EXCHANGE) * EXCHANGE
     pose = (CORNER + 0.35 - speed * seconds, CORNER + 0.15, -math.radians(20.0), CORNER + 0.4)
-    distance = bodies.signed_distances(bodies.make_blade(), pose, experiment.particles[:, :3])
+    distance = signed_distances(bodies.make_blade(), pose, experiment.particles[:, :3])
     assert 0.0 < distance.min() < experiment.solver.volume ** (1 / 3)
 
 
@@ -138,7 +139,7 @@ def test_return_mapping_is_defined_everywhere(state):
     gradient = rate * np.array([0.2, 1, 0.5, -0.3, 0.1, 0, 0.4, 1, -0.3])
     acting = small.update(row, gradient, 1e-4, damping=2e-5)
     assert np.isfinite(row).all() and np.isfinite(acting).all()
-    p = constitutive.pressure_of(row[columns.VOLUME_RATIO] - 1.0, small.SOIL.bulk_modulus)
+    p = stress.pressure_of(row[columns.VOLUME_RATIO] - 1.0, small.SOIL.bulk_modulus)
     s = row[columns.S : columns.S + 6]
     tau = math.sqrt(0.5 * (s[:3] ** 2).sum() + (s[3:] ** 2).sum())
     assert p > 0.0 or not (p or s.any())

@@ -210,6 +210,18 @@ def test_other_soils_sizes_members_and_walls():
         assert_ground(*pair)
 
 
+def test_a_step_may_take_long():
+    """What is slow resembles training: of speeds only the largest is a limit."""
+    pair = both(flat(), made=ranged(speed=[0.05, 0.5]))
+    way = poses(path(30, 0.4))
+    drive(pair, way[:20])
+    quick = pair[1].propose(way[20], DT)
+    slow = step(pair, way[20], 1000.0)[0]
+    assert 'speed' not in slow.reason and np.isfinite(slow.force).all() and slow.force.any()
+    assert not np.array_equal(slow.force, quick.force)  # the speed is an input
+    assert_ground(*pair)
+
+
 def test_the_floor_below_a_wheel():
     ground = [Terrain.flat((4.0, 2.4), corner=(-2.6, -1.2), floor=floor) for floor in (-0.12, -1.0)]
     way = path(30, 0.3)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from mpm import bodies, scenes
+from mpm.distance import signed_distances
 from mpm.motions import catalogue
 from mpm.motions.operator_paths import BUCKET_RADII, FRAMES, KINDS, PLATE, SHELL, bucket
 
@@ -87,7 +88,7 @@ def test_a_bucket_is_hollow_and_open_to_the_front(radius, has_plates):
     half = body.half_width
 
     def distance(place, z=0.0):
-        return bodies.signed_distances(body, np.zeros(4), np.array([[*place, z]]))[0]
+        return signed_distances(body, np.zeros(4), np.array([[*place, z]]))[0]
 
     # Room for soil: the circle's own radius, less where its back is a polygon.
     assert 0.9 * radius < distance(middle) + 0.004 < 1.001 * radius
