@@ -3,7 +3,7 @@
 Each page plays its first preset for ten seconds, with and without the grains that move along, while
 the frames that the browser asks for are timed: median and 95 %. Then `COUNT` steps and drawings are
 timed one by one until the graphics are done, lowest tenth and median: `step_ms` of the soil field,
-`ground_ms` of its ground or grains in the frames that ask for them (`ground_share`), `draw_ms` of
+`ground_ms` of its ground and grains in the frames that ask for them (`ground_share`), `draw_ms` of
 the rest. Times hold for the renderer beside them; `--screenshots_path` keeps pictures.
 
 Examples:
@@ -35,7 +35,7 @@ FRAMES = """(seconds) => new Promise((resolve) => {
   };
   requestAnimationFrame(look);
 })"""
-# Milliseconds [count, 3] of the model's step, of its ground or grains (0: not asked for), and of
+# Milliseconds [count, 3] of the model's step, of its ground and grains (0: not asked for), and of
 # all else, of a step and its drawing.
 PARTS = """(count) => {
   const m = page.machine, gl = page.scene.gl, pixel = new Uint8Array(4), rows = [];
@@ -131,7 +131,7 @@ def table(path: str) -> str:
         for of, found in row.items() if isinstance(found, dict)
     ]  # fmt: skip
     header = ('page', 'MB', 'first picture, s', 'from frame to frame, ms', 'step, ms',
-              'ground or grains, ms', 'drawing, ms')  # fmt: skip
+              'ground and grains, ms', 'drawing, ms')  # fmt: skip
     return markdown.table(header, rows)
 
 

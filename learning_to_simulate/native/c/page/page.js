@@ -34,7 +34,7 @@ class Page {
   reset() {
     const ghost = this.ghost, numbers = ghost ? ghost.tool : TOOLS[this.toolName], spec = ghost || this.flat();
     this.driver = new Driver(config.kind, numbers);
-    this.frame = 0; this.rows = []; this.said = ''; this.grains = null; this.trouble = ''; this.looked = -Infinity; this.looking = 0; this.isGrains = true;
+    this.frame = 0; this.rows = []; this.said = ''; this.grains = null; this.trouble = ''; this.looked = -Infinity; this.looking = 0;
     const pose = ghost ? ghost.pose[0] : this.driver.next(1e-9)[0];
     if (!this.machine.make(numbers, spec) || !this.machine.start(pose)) this.trouble = `The tool cannot start here. ${this.machine.words()}`;
     for (const ground of this.grounds || []) if (ground.scene === this.scene) this.scene.gl.deleteTexture(ground.texture);
@@ -246,12 +246,10 @@ class Page {
 
   draw() {
     const m = this.machine, g = this.grounds[0], start = performance.now();
-    // To ask the model for the ground, or for grains, costs more than a step: at most a quarter of the time, in turns.
+    // To ask the model for the ground costs more than a step: at most a quarter of the time.
     if (start - this.looked >= 3 * this.looking) {
-      const isOn = $('particles').checked && !this.ghost && !this.trouble;
-      this.isGrains = isOn && !this.isGrains;
-      if (this.isGrains) this.grains = m.grains(); else g.write(m.heights(), ...m.changed());
-      if (!isOn) this.grains = null;
+      g.write(m.heights(), ...m.changed());
+      this.grains = $('particles').checked && !this.ghost && !this.trouble ? m.grains() : null;
       this.looked = performance.now();
       this.looking = this.looked - start;
     }
