@@ -126,7 +126,7 @@ def table(path: str) -> str:
     times = 'frame_ms', 'step_ms', 'ground_ms', 'draw_ms'
     rows = [
         [f'{name}, {of}', row['bytes'] / 1e6, row['first_picture_s'],
-         *(' / '.join(f'{value:.2g}' for value in found[key]) for key in times)]
+         *(' / '.join(f'{value:.3g}' for value in found[key]) for key in times)]
         for name, row in files.read_json(path)['pages'].items()
         for of, found in row.items() if isinstance(found, dict)
     ]  # fmt: skip
