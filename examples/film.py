@@ -16,7 +16,7 @@ class Film:
     """Frames of a machine and its soil.
 
     Args:
-      path: of the film (.mp4); None: frames are dropped.
+      path: of the film (.mp4), or of a picture of its end (.png); None: frames are dropped.
     """
 
     def __init__(self, path, model, data, soil):
@@ -52,19 +52,28 @@ def draw(folder: str, path: str) -> None:
     """Draws what a `Film` has saved."""
     import imageio_ffmpeg
     import mujoco
+    from PIL import Image
 
     model = mujoco.MjModel.from_binary_path(os.path.join(folder, 'model.mjb'))
     data, frames = mujoco.MjData(model), np.load(os.path.join(folder, 'frames.npz'))
     with mujoco.Renderer(model, SIZE[1], SIZE[0]) as renderer:
-        partial = str(pathlib.Path(path).with_suffix('.part.mp4'))
-        writer = imageio_ffmpeg.write_frames(partial, SIZE, fps=FPS, quality=6, macro_block_size=8)
-        writer.send(None)
-        for qpos, heights in zip(frames['qpos'], frames['heights'], strict=True):
+
+        def drawn(qpos, heights):
             data.qpos[:], model.hfield_data[:] = qpos, heights
             mujoco.mj_forward(model, data)
             mujoco.mjr_uploadHField(model, renderer._mjr_context, 0)
             renderer.update_scene(data, camera='film')
-            writer.send(renderer.render())
+            return renderer.render()
+
+        if path.endswith('.png'):
+            picture = Image.fromarray(drawn(frames['qpos'][-1], frames['heights'][-1]))
+            picture.save(path, optimize=True)
+            return
+        partial = str(pathlib.Path(path).with_suffix('.part.mp4'))
+        writer = imageio_ffmpeg.write_frames(partial, SIZE, fps=FPS, quality=6, macro_block_size=8)
+        writer.send(None)
+        for qpos, heights in zip(frames['qpos'], frames['heights'], strict=True):
+            writer.send(drawn(qpos, heights))
         writer.close()
         os.replace(partial, path)
 

@@ -104,7 +104,7 @@ def plot(rows, picture):
     # Means over a frame of 1/15 s.
     smooth = [np.convolve(row, np.ones(67) / 67, 'same') for row in rows[:, 2:4].T]
     panels[0].plot(t, smooth[0])
-    panels[0].set(ylabel='slip', ylim=(-0.2, 1.0))
+    panels[0].set(ylabel='slip', ylim=(-0.3, 0.5))
     panels[1].plot(t, smooth[1], label='drawbar of the soil')
     panels[1].plot(t, rows[:, 4], label='pull on the chassis')
     panels[1].set(ylabel='N')
@@ -115,7 +115,7 @@ def plot(rows, picture):
     for (start, way, pull), (end, *_) in zip(PLAN, PLAN[1:], strict=False):
         panels[0].axvline(start, color='0.8')
         what = names[way] + (', pulled' if pull else '')
-        panels[0].text((start + end) / 2, 0.9, what if end - start > 1 else '', ha='center')
+        panels[0].text((start + end) / 2, 0.42, what if end - start > 1 else '', ha='center')
     figure.savefig(picture, dpi=110)
 
 

@@ -21,6 +21,7 @@ REPORTS = {
     'stability': ('stability', 'extreme cases: what holds, is flagged, is refused'),
     'beyond': ('beyond', 'runs that leave the data, and whether the status says so'),
     'soil_fits': ('soil_fits', 'how well `lts fit-soil` finds known soils'),
+    'page': ('page', 'how fast the page without a server is, in Chromium'),
     'explain': ('explain', 'what a rollout leaves out: edges, MFLOP, time'),
     'edges': ('edges.edge_ablation', 'what edges between modes are worth'),
     'nri_proof': ('edges.nri_proof', 'edges of known systems, found without labels'),

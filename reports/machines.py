@@ -1,11 +1,12 @@
 """Machines in MuJoCo: recorded ones against the solver; where the coupling is stable; its speed.
 
-machines: test runs whose tool was free (all blades of kinds `free` and `actuated`, one wheel under
-its load of each kind), with the recorded mass, springs, dampers and loads, on three grounds: the
-soil field; a spring and damper with friction; a classical formula (earthmoving, or Bekker, Wong and
-Janosi with the damper). Errors are those against the recorded motion. `coupling_mm`: how far the
-same field moves the tool otherwise in `LoadedTool`, which solves the motion in another way: so much
-is of the coupling, the rest of the field.
+machines: test runs whose tool was free (blades of kinds `free` and `actuated` of both datasets, one
+wheel under its load of each kind), with the recorded mass, springs, dampers and loads, on three
+grounds: the soil field; a spring and damper with friction; a classical formula (earthmoving, or
+Bekker, Wong and Janosi with the damper). Errors are those against the recorded motion; work is that
+of the soil's force on the tool. `coupling_mm`: how far the same field moves the tool otherwise in
+`LoadedTool`, which solves the motion in another way: so much is of the coupling, the rest of the
+field.
 stability: a plate that falls by 1 mm and comes to rest, by time step and mass, with implicit and
 explicit coupling.
 examples: simulated seconds to seconds of one core at 1 kHz, MuJoCo included; what was flagged.
@@ -38,6 +39,9 @@ STEPS, MASSES = (0.0005, 0.001, 0.002, 0.004, 0.008, 0.016), (5, 15, 50, 150, 50
 LINEAR = {'x': '1 0 0', 'z': '0 0 1', 'lean': '0 -1 0'}
 GROUNDS = ('field', 'spring', 'formula')
 MODELS = {'excavation': 'models/excavation/soil_field', 'wheel': 'models/wheel/soil_field'}
+# Model -> the datasets whose test runs are repeated.
+DATASETS = {'excavation': ('excavation', 'excavation_more'), 'wheel': ('wheel',)}
+SETTLED = 0.001  # m about its last height
 
 
 def machine_xml(run) -> str:
@@ -185,7 +189,25 @@ def figures(found, run) -> dict:
         ),
         'drift_mm_s': drift(found, run), 'true_drift_mm_s': drift(true, run),
         'ripple_mm': ripple(found), 'true_ripple_mm': ripple(true),
+        'work_error': work(found) / work(true) - 1 if work(true) else None,
+        'settling_s': settling(found, run), 'true_settling_s': settling(true, run),
     }  # fmt: skip
+
+
+def work(rows) -> float:
+    """J of the soil's force on a tool along its motion [T, 4], by the trapezoid rule; the torque's
+    is not in it."""
+    means = (rows[1:, 2:] + rows[:-1, 2:]) / 2
+    return float(np.sum(means * np.diff(rows[:, :2], axis=0)))
+
+
+def settling(rows, run) -> float | None:
+    """s from which on the height stays within `SETTLED` of its last one; None where the machine
+    itself goes on."""
+    if drift(rows, run) is None:
+        return None
+    off = np.abs(rows[:, 1] - rows[-1, 1]) > SETTLED
+    return float(run.dt * (np.flatnonzero(off)[-1] + 1)) if off.any() else 0.0
 
 
 def drift(rows, run) -> float | None:
@@ -263,22 +285,30 @@ def table(path: str) -> str:
     wheels = [row for row in found if row['tool'] == 'wheel']
     lines = [_line(row['case'], [row]) for row in found if row['tool'] != 'wheel']
     lines.append(_line(f'{len(wheels)} wheels, means', wheels))
-    header = ('run', 'motion, rms mm', 'force at the end, %', 'drift, mm/s')
+    header = ('run', 'motion, rms mm', 'force at the end, %', 'work, %', 'settles after, s',
+              'ripple, mm', 'drift, mm/s')  # fmt: skip
     return markdown.table(header, lines)
 
 
 def _line(title, rows):
     def mean(ground, name, scale):
-        values = [scale * abs(row[ground][name]) for row in rows if row[ground]]
+        known = [row[ground].get(name) for row in rows]
+        values = [scale * abs(value) for value in known if value is not None]
         return f'{np.mean(values):.2g}' if values else '-'
 
     def all_of(name, scale=1.0):
         return ' / '.join(mean(ground, name, scale) for ground in GROUNDS)
 
+    def beside(name):
+        """Of the field and of the solver."""
+        return f'{mean("field", name, 1.0)} / {mean("field", f"true_{name}", 1.0)}'
+
     drifts = [row['field']['drift_mm_s'] for row in rows if row['field']]
     at_rest = [drift for drift in drifts if drift is not None]
     drift = f'{max(at_rest):.1g}' if at_rest else 'goes on'
-    return title, all_of('rms_mm'), all_of('end_force_error', 100), drift
+    return (title, all_of('rms_mm'), all_of('end_force_error', 100),
+            mean('field', 'work_error', 100), beside('settling_s'), beside('ripple_mm'),
+            drift)  # fmt: skip
 
 
 def coupling_table(path: str) -> str:
@@ -332,7 +362,9 @@ def main(values) -> None:
     machines, fields = [], {name: method.load(path) for name, path in MODELS.items()}
     for name, field in fields.items():
         evaluator, kinds = evaluation.SoilEvaluator(field), set()
-        for run in runs.read(f'datasets/{name}', 'test'):
+        for run in (
+            run for data in DATASETS[name] for run in runs.read(f'datasets/{data}', 'test')
+        ):
             if run.machine is None or (run.tool.name == 'wheel' and run.kind in kinds):
                 continue
             kinds.add(run.kind)

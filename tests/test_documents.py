@@ -7,16 +7,16 @@ import importlib.util
 import pathlib
 import re
 import shutil
-import subprocess
-import sys
 
 import pytest
 import yaml
 
 from learning_to_simulate import cli, presets
+from learning_to_simulate.native import web_page
 from nri.config import NriConfig
 from reports import __main__ as reports
 from reports import documents
+from run_scripts import site
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 NAMES = documents.names()
@@ -96,17 +96,28 @@ def test_commands_and_flags_exist(name):
     assert lines or name not in ('README.md', 'docs/guide.md', 'docs/data.md')
 
 
-def test_the_site_holds_every_page_and_is_built_without_warnings(tmp_path):
-    site = yaml.safe_load(text_of('mkdocs.yml'))
-    listed = {page for entry in site['nav'] for page in entry.values()}
+def test_the_site_holds_every_page_and_is_built_without_warnings(tmp_path, monkeypatch):
+    listed_by = yaml.safe_load(text_of('mkdocs.yml'))
+    listed = {page for entry in listed_by['nav'] for page in entry.values()}
     assert listed == {path.name for path in (ROOT / 'docs').glob('*.md')}
     pytest.importorskip('zensical')
     # Copies: the site is built beside the file that a link of `mkdocs.yml` would lead to.
-    shutil.copytree(ROOT / 'docs', tmp_path / 'docs')
+    shutil.copytree(ROOT / 'docs', tmp_path / 'docs', ignore=shutil.ignore_patterns('*.html'))
     shutil.copy(ROOT / 'mkdocs.yml', tmp_path)
-    done = subprocess.run(
-        [sys.executable, '-m', 'zensical', 'build', '--strict'],
-        cwd=tmp_path, capture_output=True, text=True,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert (tmp_path / 'build/site/index.html').is_file()
+    asked = []
+
+    def export(model, path, data):
+        asked.append((model, data))
+        pathlib.Path(path).write_text('a page', encoding='utf-8')
+
+    monkeypatch.setattr(web_page, 'export', export)
+    built = site.build(tmp_path)
+    assert (built / 'index.html').is_file()
+    # The frame of the page on native code shows what was written.
+    text = (built / 'native/index.html').read_text(encoding='utf-8')
+    frame = re.search(r'<iframe src="([^"]*)"', text)[1]
+    assert (built / 'native' / frame).read_text(encoding='utf-8') == 'a page'
+    assert asked == [('excavation', 'datasets/excavation')]
+    monkeypatch.setattr(web_page, 'export', lambda *_: (tmp_path / 'docs/blade.html').unlink())
+    with pytest.raises(ValueError, match=r'native/index.html shows ../blade.html, which is not'):
+        site.build(tmp_path)

@@ -4,6 +4,7 @@ import importlib
 import json
 import pathlib
 import re
+import sys
 from types import SimpleNamespace
 
 import numpy as np
@@ -97,6 +98,24 @@ def test_excavator():
     assert not force[time < 0.5].any()
     assert not rows[:, -1].any()
     assert pose[-1, 1] < -0.035 and force[-1, 0] > 50.0  # it digs towards the house
+
+
+@pytest.mark.slow
+def test_excavator_through_its_whole_cycle(tmp_path, monkeypatch):
+    """Both cuts meet soil and leave a trench each, side by side; a film is drawn of it."""
+    pytest.importorskip('mujoco')
+    example, film = _example('excavator'), tmp_path / 'dig.mp4'
+    monkeypatch.setattr(sys.modules['film'], 'FPS', 2)
+    ground, _, rows = example.main(str(film))
+    time, force, flagged = rows[:, 0], rows[:, 4:7], rows[:, -1]
+    assert time[-1] == pytest.approx(2 * example.PERIOD - 0.4, abs=0.01) and flagged.mean() < 0.05
+    for start in (0.0, example.PERIOD):
+        cut = (time > start + 2.5) & (time < start + 6.0)
+        lifted = (time > start + 8.5) & (time < start + 11.5)
+        assert force[cut, 0].mean() > 50.0 and not force[lifted].any()
+    across = ground.corner[1] + ground.cell[1] * (0.5 + np.where(ground.heights < -0.03)[1])
+    assert across.min() < -0.15 and across.max() > 0.15
+    assert film.stat().st_size > 10_000
 
 
 def test_rover():

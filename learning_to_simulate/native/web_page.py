@@ -1,7 +1,8 @@
 """Writes a page that needs no server: one HTML file with a soil field as WebAssembly inside.
 
-The compiler comes with the package `ziglang` (extra `page`); the page draws by WebGL and loads
-nothing.
+The compiler comes with the package `ziglang` (extra `page`). The page loads nothing. It draws by
+WebGL without a library: a ground, a tool and grains are all, and a library such as three.js comes
+by npm, so that no page could be written without a network.
 
 Examples:
   lts live                                  # writes the page of the blade and opens it
@@ -86,6 +87,7 @@ def write(path: str, name: str, field, run=None) -> None:
       run: `soil_field.runs.Run` that is played beside; None for none.
     """
     from learning_to_simulate.native import project, soil_data  # load TensorFlow
+    from learning_to_simulate.soil_field import field as soil_field
 
     values = soil_data.values(field)
     kind = field.networks.tool
@@ -94,6 +96,7 @@ def write(path: str, name: str, field, run=None) -> None:
         'model': name.removeprefix('lts_').replace('_', ' '),
         'digest': values['digest'][:12],
         'tool': library.tool_numbers(kind()),
+        'words': {name: soil_field.WORDS[name] for name in field.judged_names},
         'ghost': None if run is None else ghost(run),
     }
     words = {

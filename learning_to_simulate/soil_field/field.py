@@ -41,6 +41,44 @@ CONDITIONS = {
     'wall_beside': (0.0, 0.0),
 }
 APART = 0.1
+# What a reason names, in words for a user, and its unit (lengths are of the field).
+WORDS = {
+    'lean': ('lean of the tool', 'rad'),
+    'area': ('soil cut by the tool', 'm²'),
+    'carried': ('soil pushed along by the tool', 'm²'),
+    'speed': ('speed of the tool', 'm/s'),
+    'pressed': ('soil pressed down by the back of the tool', 'm²'),
+    'half_width': ('half the width of the tool', 'm'),
+    'friction': ('friction of the soil', ''),
+    'radius': ('radius of the tool', 'm'),
+    'length': ('length of the tool', 'm'),
+    'bucket': ('being a bucket', ''),
+    'plates': ('side plates of the bucket', ''),
+    'edge': ('radius of the edge', 'm'),
+    'lugs': ('number of grousers', ''),
+    'lug_height': ('height of the grousers', 'm'),
+    'stress': ('weight of the soil for a tool of this size, logarithm', ''),
+    'depth': ('depth of the tool in the soil', 'm'),
+    'bed_low': ('lowest soil near the tool, above that under it', 'm'),
+    'bed_high': ('highest soil near the tool, above that under it', 'm'),
+    'uneven': ('unevenness of the soil across the tool', 'm'),
+    'wall': ('nearness of a wall ahead', 'm'),
+    'along': ('speed of the tool along the ground', 'm/s'),
+    'backed': ('way back in the soil', 'm'),
+    'wall_behind': ('nearness of a wall behind', 'm'),
+    'yaw': ('turn of the tool away from its line', 'rad'),
+    'roll': ('roll of the tool to one side', 'rad'),
+    'aside': ('distance of the tool from its line', 'm'),
+    'beyond_map': ('part of the tool beyond the terrain', 'm'),
+    'thin_soil': ('soil missing between the tool and the floor', 'm'),
+    'other_tool': ('nearness of another tool', 'm'),
+    'cell': ('side of a cell of the terrain', 'm'),
+    'crossfall': ('fall of the ground across the tool', 'm'),
+    'slope': ('slope of the ground along the way', ''),
+    'turning': ('turn or slip of the tool on its way', ''),
+    'leans': ('lean of the tool against its cut', 'rad'),
+    'wall_beside': ('nearness of a wall beside', 'm'),
+}
 # Numbers of a frame that are judged: scalars, and what follows from bins about the tool, from how
 # near walls are, and from how far the tool has gone back in the soil.
 _SCALARS = ('lean', 'area', 'carried', 'speed', 'pressed')

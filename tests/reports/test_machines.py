@@ -87,11 +87,15 @@ def test_figures_of_known_motions():
     assert found['end_mm'] == 0.0 and found['force_relative_l2'] == pytest.approx(0.5)
     assert found['end_force_error'] == pytest.approx(-0.5)
     assert found['drift_mm_s'] == 0.0 and found['ripple_mm'] < 1e-9
+    # The height leaves its last one by 10 mm until frame 60; nothing does work over a step.
+    assert found['settling_s'] == pytest.approx(60 * DT) and found['true_settling_s'] == 0.0
+    assert machines.work(rows) == pytest.approx(40.0 * -0.01) and found['work_error'] is None
     rows[:, 0] += 0.002 * DT * np.arange(T)  # 2 mm/s
     rows[:, 1] += 1e-4 * (-1.0) ** np.arange(T)
     assert machines.drift(rows, run) == pytest.approx(np.hypot(2.0, 0.2 / (29 * DT)), rel=1e-9)
     assert machines.ripple(rows) == pytest.approx(0.1, rel=0.02)
     run.machine.target[:, 0] += 1e-3 * np.arange(T)
     assert machines.drift(rows, run) is None  # the machine itself goes on
+    assert machines.settling(rows, run) is None
     rows[-1, 1] = -5.0
     assert machines.figures(rows, run) == {}

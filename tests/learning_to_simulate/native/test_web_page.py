@@ -3,16 +3,19 @@
 import contextlib
 import csv
 import io
-import shutil
+import pathlib
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from learning_to_simulate.native import soil_data, web_page
+from learning_to_simulate.soil_field.field import WORDS
 from learning_to_simulate.soil_field.loaded import LoadedTool
 from learning_to_simulate.soil_field.stepper import SoilStepper
 from learning_to_simulate.soil_field.terrain import Terrain
 from learning_to_simulate.soil_field.tools import Blade, Wheel
+from reports import page as page_report
 from tests.learning_to_simulate.native import worlds
 from tests.learning_to_simulate.soil_field import worlds as soil_worlds
 
@@ -62,23 +65,19 @@ def pages(tmp_path_factory):
 
 @pytest.fixture(scope='module')
 def browser():
-    api = pytest.importorskip('playwright.sync_api', reason='playwright is not installed')
-    chromium = shutil.which('chromium') or shutil.which('chromium-browser')
-    if chromium is None:
-        pytest.skip('no chromium here: apt install chromium')
-    arguments = ['--no-sandbox', '--use-gl=angle', '--use-angle=swiftshader',
-                 '--enable-unsafe-swiftshader']  # fmt: skip
-    with api.sync_playwright() as playwright:
-        found = playwright.chromium.launch(executable_path=chromium, args=arguments)
+    with contextlib.ExitStack() as stack:
+        try:
+            found = stack.enter_context(page_report.browser())
+        except ValueError as error:
+            pytest.skip(str(error))
         yield found
-        found.close()
 
 
 @contextlib.contextmanager
-def opened(browser, path):
+def opened(browser, path, complaint='', **options):
     """A tab with a page that has started and waits; it must neither complain nor load anything."""
     said, asked = [], []
-    tab = browser.new_page(viewport={'width': 500, 'height': 640})
+    tab = browser.new_page(viewport={'width': 500, 'height': 640}, **options)
     tab.set_default_timeout(120_000)
     tab.on('console', lambda message: said.append(message.text))
     tab.on('pageerror', lambda error: said.append(str(error)))
@@ -88,7 +87,8 @@ def opened(browser, path):
     tab.evaluate('page.pause(true)')
     yield tab
     tab.close()
-    assert said == [] and asked == [path.as_uri()]
+    assert [text for text in said if not complaint or complaint not in text] == []
+    assert asked == [path.as_uri()] and (not complaint or said)
 
 
 @pytest.mark.parametrize('kind', PRESETS)
@@ -206,6 +206,11 @@ def test_steering_recording_and_what_is_refused(browser, pages):
         assert len(rows) == 60 and tab.locator('#download').is_enabled()
         kept = [[float(row[f'f{i}_N']) for i in 'xyz'] for row in rows]
         np.testing.assert_allclose(kept, seen[:, 7:10])
+        with tab.expect_download() as download:
+            tab.get_by_role('button', name='Download CSV').click()
+        assert download.value.suggested_filename == 'blade.csv'
+        written = pathlib.Path(download.value.path()).read_text(encoding='utf-8')
+        assert written == tab.evaluate('page.csv()')
         before = tab.evaluate('[...page.machine.pose]')
         tab.evaluate('page.driver.state.x = NaN; page.advance(1 / 60); page.show()')
         assert 'Held back' in tab.inner_text('#status')
@@ -215,6 +220,90 @@ def test_steering_recording_and_what_is_refused(browser, pages):
         assert tab.evaluate('page.grains, page.machine.grains().count') >= 0
         times = tab.evaluate('page.frameTimes()')
         assert 0 < times['median'] <= times['high']
+
+
+def test_fingers_drive_the_tool_and_pinch_the_view(browser, pages):
+    with opened(browser, pages / 'blade.html', has_touch=True) as tab:
+        tab.evaluate('page.reset(); page.script = null')
+        device = tab.context.new_cdp_session(tab)
+
+        def touch(kind, *places):
+            points = [{'x': x, 'y': y, 'id': k} for k, (x, y) in enumerate(places)]
+            device.send('Input.dispatchTouchEvent', {'type': kind, 'touchPoints': points})
+
+        box = tab.locator('#pad').bounding_box()
+        touch('touchStart', (box['x'] + box['width'] / 2, box['y'] + 5))
+        tab.wait_for_function('page.pushed && page.pushed[1] > 0.8')
+        tab.evaluate('page.held()')
+        assert tab.evaluate('page.driver.target.speed') > 0
+        touch('touchEnd')
+        tab.wait_for_function('page.pushed === null && page.driver.target.speed === 0')
+        before = tab.evaluate('page.scene.distance')
+        touch('touchStart', (240, 150), (260, 150))
+        touch('touchMove', (220, 150), (280, 150))
+        tab.wait_for_function(f'page.scene.distance < {before / 2}')
+        touch('touchEnd')
+
+
+def test_the_status_says_in_words_what_is_unlike_training(browser, pages):
+    with opened(browser, pages / 'blade.html') as tab:
+        tab.evaluate('page.reset(); page.script = null; page.driver.target.depth = 0.2')
+        tab.evaluate(STEPS, 240)
+        name = tab.evaluate('page.machine.reason()').split()[0]
+        tab.evaluate('page.show()')
+        words = WORDS[name][0]
+        text = tab.inner_text('#status')
+        assert text.startswith(f'Beyond what the model was trained on: {words},')
+        assert f'({name}; trained: ' in text
+        # Torque about the tool's own axis across, of a tool that has turned.
+        torque, heading = np.array([3.0, 0.0, 5.0]), 0.3
+        pose = [0, 0, 0, np.cos(heading / 2), 0, np.sin(heading / 2), 0]
+        code = '([t, p]) => Object.getOwnPropertyDescriptor(Machine.prototype, "pitch")'
+        found = tab.evaluate(f'{code}.get.call({{ torque: t, pose: p }})', [torque.tolist(), pose])
+        across = Rotation.from_quat([*pose[4:], pose[3]]).apply([0.0, 0.0, 1.0])
+        assert found == pytest.approx(torque @ across)
+
+
+def test_an_error_in_a_frame_does_not_stop_the_page(browser, pages):
+    with opened(browser, pages / 'blade.html', 'broken') as tab:
+        tab.evaluate(STEPS, 30)
+        tab.evaluate("""() => {
+          const draw = page.draw.bind(page);
+          page.draw = () => { page.draw = draw; throw new Error('broken on purpose'); };
+        }""")
+        tab.wait_for_function("page.said.includes('laid out anew')")
+        tab.evaluate('page.pause(false)')
+        tab.wait_for_function('page.frame > 2')
+        assert 'broken' not in tab.inner_text('#status')
+        tab.evaluate("() => { page.draw = () => { throw new Error('broken for good'); }; }")
+        tab.wait_for_function("page.trouble.includes('load it again')")
+        assert 'load it again' in tab.inner_text('#status')
+
+
+def test_a_graphics_card_that_was_away_draws_again(browser, pages):
+    with opened(browser, pages / 'blade.html') as tab:
+        tab.evaluate("""() => {
+          window.card = page.scene.gl.getExtension('WEBGL_lose_context');
+          card.loseContext();
+        }""")
+        tab.wait_for_function("page.said.includes('is away')")
+        tab.evaluate('card.restoreContext()')
+        tab.wait_for_function("page.said.includes('was away')")
+        tab.evaluate('page.draw()')
+        assert tab.evaluate('page.scene.gl.getError()') == 0
+        pixels = """() => {
+          const gl = page.scene.gl, seen = new Uint8Array(4);
+          page.draw(); gl.readPixels(gl.drawingBufferWidth >> 1, gl.drawingBufferHeight >> 1, 1, 1,
+            gl.RGBA, gl.UNSIGNED_BYTE, seen);
+          return [...seen];
+        }"""
+        red, _, blue, _ = tab.evaluate(pixels)
+        assert red > blue + 10  # soil, not paper
+
+
+def test_every_number_that_is_judged_has_words():
+    for kind in PRESETS:
+        assert set(worlds.soil_field(kind).judged_names) <= set(WORDS)
 
 
 def test_what_a_page_needs_is_named(monkeypatch, tmp_path):

@@ -6,12 +6,22 @@ const turnedBy = (heading, lean) => {
 };
 const toward = (value, target, most) => value + Math.max(-most, Math.min(most, target - value));
 
+// What a user does about an error of lts.h.
+const REFUSED = {
+  [-3]: 'this browser gave too little memory; close other tabs and load the page again',
+  [-5]: 'this place or this turn cannot be reached; press Reset',
+  [-7]: 'the tool would jump; press Reset',
+  [-8]: 'here the ground ends, or does not bear the tool; raise it, turn back, or press Reset',
+};
+
 class Machine {
   constructor(exports) { this.c = exports; this.code = 0; }
 
   doubles(at, n) { return new Float64Array(this.c.memory.buffer, at, n); }
   get force() { return [...this.doubles(this.c.page_force(), 3)]; }
   get torque() { return [...this.doubles(this.c.page_torque(), 3)]; }
+  // About the tool's own axis across, N m.
+  get pitch() { return dot(this.torque, turned(this.pose.slice(3), [0, 0, 1])); }
   get bound() { return this.c.page_bound(); }
   heights() { return this.doubles(this.c.page_heights(), this.n[0] * this.n[1]); }
 
@@ -19,6 +29,15 @@ class Machine {
   reason() {
     const bytes = new Uint8Array(this.c.memory.buffer, this.c.page_reason(this.code));
     return new TextDecoder().decode(bytes.slice(0, bytes.indexOf(0)));
+  }
+  // The same for a user, and what to do; the name of the number stands in brackets.
+  words() {
+    const reason = this.reason();
+    if (this.code < 0) return `Held back: ${REFUSED[this.code] || 'the model took no step; press Reset'} (${reason})`;
+    const [, name, value, low, high] = reason.match(/^(\w+) (\S+) is outside (?:twice )?\[(\S+), (\S+)\] of training$/) || [];
+    if (!name) return reason && `The model gives no answer here: press Reset (${reason})`;
+    const [what, unitName] = config.words[name], short = (v) => `${+(+v).toPrecision(3)}`.replace('-', '−');
+    return `Beyond what the model was trained on: ${what}, ${short(value)} ${unitName} (${name}; trained: ${short(low)} to ${short(high)})`;
   }
   get status() { return this.code < 0 ? 'refused' : this.c.page_status() ? 'outside' : 'ok'; }
 
@@ -99,7 +118,7 @@ class Machine {
     }
     if (this.points) { this.c.page_free(this.points.rest); this.c.page_free(this.points.now); }
     const n = found.length / 3;
-    this.points = { n, rest: this.c.page_points(n), now: this.c.page_points(n), size: 0.8 * spacing };
+    this.points = { n, rest: this.c.page_points(n), now: this.c.page_points(n), data: new Float32Array(4 * n), size: 0.8 * spacing };
     this.doubles(this.points.rest, 3 * n).set(found);
     this.c.page_anchor();
     this.anchored = [...this.pose];
@@ -108,14 +127,16 @@ class Machine {
   // {data [n][x, y, z, share of 30 mm], count, size}, of grains that have moved.
   grains() {
     if (!this.anchored) this.regrow();
-    const { n, rest, now, size } = this.points;
+    const { n, rest, now, data, size } = this.points;
     if (this.c.page_displace(rest, n, now) < 0) return null;
-    const a = this.doubles(rest, 3 * n), b = this.doubles(now, 3 * n), data = new Float32Array(4 * n);
+    const a = this.doubles(rest, 3 * n), b = this.doubles(now, 3 * n);
+    const far = 0.03 * this.scale();
     let count = 0;
     for (let k = 0; k < 3 * n; k += 3) {
       const moved = Math.hypot(b[k] - a[k], b[k + 1] - a[k + 1], b[k + 2] - a[k + 2]);
       if (moved < 1e-3) continue;
-      data.set([b[k], b[k + 1], b[k + 2], moved / (0.03 * this.scale())], 4 * count++);
+      const at = 4 * count++;
+      data[at] = b[k]; data[at + 1] = b[k + 1]; data[at + 2] = b[k + 2]; data[at + 3] = moved / far;
     }
     return { data, count, size };
   }

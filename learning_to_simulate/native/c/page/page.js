@@ -5,6 +5,7 @@ const TOOLS = isWheel
   ? { 'Wheel with grousers': [0.125, 0.15, 0, 0, 0, 16, 0.012], 'Smooth wheel': [0.125, 0.15, 0, 0, 0, 0, 0] }
   : { Blade: config.tool, Bucket: [0.426, 0.004, 0.353, 1, 1, 0, 0] };
 const PRESETS = isWheel ? WHEEL_PRESETS : BLADE_PRESETS;
+const CELL = 0.02, REACH = isWheel ? 6 * 0.15 : 1.4;  // m: of the terrain; of what is seen of it
 const RANGE = isWheel ? 0.016 : 0.04;  // m of the last colour
 const NEWTONS = isWheel ? 500 : 2000;  // of an arrow of one metre
 
@@ -26,23 +27,23 @@ class Page {
 
   // --- What is on the terrain
   flat() {
-    const cell = isWheel ? [0.0125, 0.0125] : [0.02, 0.02], size = isWheel ? [12, 4] : [18, 6];
+    const cell = [CELL, CELL], size = isWheel ? [12, 4] : [18, 6];
     return { n: size.map((v, i) => Math.round(v / cell[i])), cell, corner: [isWheel ? -10 : -15, -size[1] / 2], walled: false, floor: -1 };
   }
 
   reset() {
     const ghost = this.ghost, numbers = ghost ? ghost.tool : TOOLS[this.toolName], spec = ghost || this.flat();
     this.driver = new Driver(config.kind, numbers);
-    this.frame = 0; this.rows = []; this.said = ''; this.grains = null; this.trouble = '';
+    this.frame = 0; this.rows = []; this.said = ''; this.grains = null; this.trouble = ''; this.looked = -Infinity; this.looking = 0;
     const pose = ghost ? ghost.pose[0] : this.driver.next(1e-9)[0];
-    if (!this.machine.make(numbers, spec) || !this.machine.start(pose)) this.trouble = `The tool cannot start here: ${this.machine.reason()}`;
-    if (this.grounds) for (const ground of this.grounds) this.scene.gl.deleteTexture(ground.texture);
+    if (!this.machine.make(numbers, spec) || !this.machine.start(pose)) this.trouble = `The tool cannot start here. ${this.machine.words()}`;
+    for (const ground of this.grounds || []) if (ground.scene === this.scene) this.scene.gl.deleteTexture(ground.texture);
     this.grounds = [new Ground(this.scene, spec.n, spec.corner, spec.cell, this.machine.heights())];
     if (ghost) this.grounds.push(new Ground(this.scene, spec.n, spec.corner, spec.cell, spec.heights, [0, 0, 1.12 * spec.n[1] * spec.cell[1]]));
     for (const id of ['pad', 'lift', 'sliders']) $(id).hidden = !!ghost;
     for (const id of ['loaded', 'particles']) $(id).parentElement.hidden = !!ghost;
     this.scene.setTool(config.kind, numbers);
-    this.reach = isWheel ? 6 * numbers[1] : 1.4;
+    this.reach = ghost && isWheel ? 6 * numbers[1] : REACH;
     this.scene.distance = ghost ? 2.3 * spec.n[0] * spec.cell[0] : this.reach * 1.45;
     this.scene.focus = this.middle(pose);
     if (this.preset && !ghost) this.script = new Script(PRESETS[this.preset]);
@@ -200,6 +201,8 @@ class Page {
       this.scene.azimuth -= (e.clientX - last[0]) / 200;
       this.scene.height = Math.max(0.06, Math.min(1.5, this.scene.height + (e.clientY - last[1]) / 250));
     };
+    canvas.addEventListener('webglcontextlost', (e) => { e.preventDefault(); this.said = 'The graphics card is away: the picture comes back with it'; });
+    canvas.addEventListener('webglcontextrestored', () => this.revive());
     canvas.onwheel = (e) => { e.preventDefault(); this.zoom(Math.exp(e.deltaY / 900)); };
   }
   zoom(by) { this.scene.distance = Math.max(0.3 * this.reach, Math.min(3 * this.reach, this.scene.distance * by)); }
@@ -216,17 +219,17 @@ class Page {
     for (const text of [`cut −${end}`, `−${end / 2}`, '0', `+${end / 2}`, `heap +${end}`]) $('legend').querySelector('div').append(Object.assign(document.createElement('span'), { textContent: text }));
     $('keys').innerHTML = CURVES.map(([name, colour]) => `<span><i style="color:${colour}"></i>${name}</span>`).join('') +
       (config.ghost ? '<span class="solver" hidden><i style="border-top-style:dashed"></i>solver</span>' : '') + '<span class="bound" hidden>band: error bound</span>';
-    $('figures').innerHTML = '<div><span>Force</span><b></b> <em>N</em></div><div><span>Torque</span><b></b> <em>N m</em></div><div><span>Bound</span><b></b> <em>N</em></div>';
+    $('figures').innerHTML = '<div><span>Force</span><b></b> <em>N</em></div><div><span>Pitch torque</span><b></b> <em>N m</em></div><div><span>Bound</span><b></b> <em>N</em></div>';
   }
 
   // --- What is shown
   show() {
     const m = this.machine, status = this.trouble ? 'refused' : m.status;
-    const text = this.trouble || (m.code < 0 ? `Held back: ${m.reason()}` : m.reason()) || this.said || 'Within what the model was trained on';
+    const text = this.trouble || m.words() || this.said || 'Within what the model was trained on';
     $('status').className = { ok: 'ok', outside: 'out', refused: 'bad' }[status];
     const words = $('status').lastElementChild;
     if (words.textContent !== text) words.textContent = text;
-    const numbers = [Math.hypot(...m.force), m.torque[2], m.bound];
+    const numbers = [Math.hypot(...m.force), m.pitch, m.bound];
     $('figures').querySelectorAll('b').forEach((b, i) => { b.textContent = isFinite(numbers[i]) ? numbers[i].toFixed(i === 1 ? 1 : 0) : '–'; });
     const solver = $('keys').querySelector('.solver');
     if (solver) solver.hidden = !this.ghost;
@@ -242,8 +245,14 @@ class Page {
   }
 
   draw() {
-    const m = this.machine, g = this.grounds[0];
-    g.write(m.heights(), ...m.changed());
+    const m = this.machine, g = this.grounds[0], start = performance.now();
+    // To ask the model for the ground costs more than a step: at most a quarter of the time.
+    if (start - this.looked >= 3 * this.looking) {
+      g.write(m.heights(), ...m.changed());
+      this.grains = $('particles').checked && !this.ghost && !this.trouble ? m.grains() : null;
+      this.looked = performance.now();
+      this.looking = this.looked - start;
+    }
     const tools = [{ pose: m.pose }];
     if (this.ghost) {
       const ground = this.grounds[1], k = Math.min(Math.floor(this.frame / this.ghost.stride), this.ghost.maps.length - 1);
@@ -255,7 +264,6 @@ class Page {
     this.scene.focus = f.map((v, i) => v + 0.12 * (aim[i] - v));
     const force = m.force, size = Math.hypot(...force), from = add(m.pose.slice(0, 3), [0, 1, 0], isWheel ? -0.9 * this.driver.tool[1] : 0.02);
     const arrow = size > 1e-3 * NEWTONS ? { from, to: add(from, force, Math.min(1 / NEWTONS, 0.6 * this.reach / size)), thick: 0.35 * this.reach } : null;
-    this.grains = $('particles').checked && !this.ghost && !this.trouble ? m.grains() : null;
     this.scene.draw(this.grounds, tools, arrow, this.grains, RANGE, this.ghost ? 3 : this.reach);
   }
 
@@ -271,6 +279,30 @@ class Page {
     if (gone > 0) this.times.push(gone);
     if (this.times.length > 240) this.times.shift();
     if (this.count === 0 && this.times.length > 30) this.pace();
+  }
+
+  // After an error in a frame the soil is laid out anew; only where that does not help, the user has to act.
+  mend(error, now) {
+    console.error(error);
+    const again = now - (this.mended ?? -Infinity) < 3000;
+    this.mended = now;
+    try {
+      if (again) throw error;
+      $('particles').checked = false;
+      this.free(); this.reset();
+      this.said = 'A frame could not be computed, so the soil was laid out anew. Go on; if this comes back, load the page again';
+    } catch {
+      this.trouble = 'The page cannot go on: load it again';
+      complain(this.trouble);
+    }
+  }
+
+  // The graphics card may be taken away (sleep, a new driver): all is drawn anew when it is back.
+  revive() {
+    const { canvas, inView, azimuth, height } = this.scene;
+    this.scene = Object.assign(new Scene(canvas, inView), { azimuth, height });
+    this.reset();
+    this.said = 'The graphics card was away for a moment, so the soil was laid out anew';
   }
 
   // Shows the frame times, and draws fewer pixels where the machine is slow.
@@ -292,9 +324,9 @@ class Page {
   }
 }
 
-function trouble(error) {
+function complain(text) {
   $('status').className = 'bad';
-  $('status').lastElementChild.textContent = `This browser cannot run the page: ${error.message}`;
+  $('status').lastElementChild.textContent = text;
 }
 
 async function begin() {
@@ -310,13 +342,14 @@ async function begin() {
     g.walled = true; g.floor = -1000;
   }
   const { instance } = await WebAssembly.instantiate(await unpacked(packed), {});
-  const page = new Page(instance.exports, new Scene($('scene')));
+  const page = new Page(instance.exports, new Scene($('scene'), REACH / CELL));
   window.page = page;
   const loop = (now) => {
-    try { page.turn(now); } catch (error) { page.trouble = `A frame failed (${error.message}): reset`; page.show(); }
+    try { page.turn(now); } catch (error) { page.mend(error, now); }
     requestAnimationFrame(loop);
   };
   requestAnimationFrame(loop);
   page.play(Object.keys(PRESETS)[0]);
 }
-begin().catch(trouble);
+begin().catch((error) => complain(`This browser cannot run the page, or its graphics are switched off. It needs WebGL 2 and WebAssembly
+  with SIMD: Chrome or Edge from 2021, Firefox from 113, Safari from 16.4 have them (${error.message})`));

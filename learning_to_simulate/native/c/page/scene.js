@@ -196,28 +196,29 @@ void main() {
 }`;
 
 class Scene {
-  constructor(canvas) {
+  // inView: cells from the focus to where the soil has faded away.
+  constructor(canvas, inView) {
     const gl = canvas.getContext('webgl2', { antialias: (devicePixelRatio || 1) < 2 && !Scene.isSlow(), alpha: false });
     if (!gl) throw new Error('this browser has no WebGL 2, by which the page draws');
-    Object.assign(this, { canvas, gl, quality: Scene.isSlow() ? 0.5 : 1, azimuth: -2.55, height: 0.50, distance: 2.1, focus: [0, 0, 0] });
+    Object.assign(this, { canvas, gl, inView, quality: Scene.isSlow() ? 0.5 : 1, azimuth: -2.55, height: 0.50, distance: 2.1, focus: [0, 0, 0] });
     this.soil = this.program(SOIL_VERTEX, SOIL_FRAGMENT);
     this.solids = this.program(SOLID_VERTEX, SOLID_FRAGMENT);
     this.grains = this.program(GRAIN_VERTEX, GRAIN_FRAGMENT);
-    this.step = Scene.isSlow() ? 2 : 1;  // cells between vertices of a mesh
+    this.step = Scene.isSlow() && config.kind !== 'wheel' ? 2 : 1;  // cells between vertices of a mesh
     this.wide = 142 / this.step;
-    const index = [], n = this.wide;
+    const index = [], outside = [], n = this.wide;
     const BAND = 7;  // columns at a time: vertices are found again in small caches
     for (let band = 0; band + 1 < n; band += BAND) for (let i = 0; i + 1 < n; i++) {
       for (let j = band; j < Math.min(band + BAND, n - 1); j++) {
-        const k = i * n + j;
-        index.push(k, k + n, k + 1, k + 1, k + n, k + n + 1);
+        const k = i * n + j, list = this.step * (Math.hypot(i - n / 2, j - n / 2) - 2) < inView ? index : outside;
+        list.push(k, k + n, k + 1, k + 1, k + n, k + n + 1);
       }
     }
     this.mesh = gl.createVertexArray();
     gl.bindVertexArray(this.mesh);
     gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
-    gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, new Uint32Array(index), gl.STATIC_DRAW);
-    this.count = index.length;
+    gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, new Uint32Array([...index, ...outside]), gl.STATIC_DRAW);
+    this.near = index.length; this.count = index.length + outside.length;
     this.points = gl.createVertexArray();
     this.dots = gl.createBuffer();
     gl.bindVertexArray(this.points);
@@ -308,14 +309,14 @@ class Scene {
       gl.uniform2i(s.base, ...ground.base(this.focus)); gl.uniform2i(s.cells, ...ground.n); gl.uniform1i(s.wide, this.wide); gl.uniform1i(s.step_, this.step);
       gl.uniform2fv(s.corner, ground.corner); gl.uniform2fv(s.side, ground.cell); gl.uniform3fv(s.shift, ground.shift);
       gl.uniform1f(s.ghost, i);
-      gl.drawElements(gl.TRIANGLES, this.count, gl.UNSIGNED_INT, 0);
+      gl.drawElements(gl.TRIANGLES, grounds.length > 1 ? this.count : this.near, gl.UNSIGNED_INT, 0);
     });
     tools.forEach((tool) => this.solid(this.tool, placed(tool.pose.slice(0, 3), tool.pose.slice(3)), view, light, eye, 1));
     if (grains && grains.count) {
       gl.useProgram(this.grains.program);
       gl.bindVertexArray(this.points);
       gl.bindBuffer(gl.ARRAY_BUFFER, this.dots);
-      gl.bufferData(gl.ARRAY_BUFFER, grains.data, gl.STREAM_DRAW);
+      gl.bufferData(gl.ARRAY_BUFFER, grains.data, gl.STREAM_DRAW, 0, 4 * grains.count);
       gl.uniformMatrix4fv(this.grains.view, false, view);
       gl.uniform1f(this.grains.size, grains.size * f / wide * h / 2);
       gl.drawArrays(gl.POINTS, 0, grains.count);
@@ -360,7 +361,8 @@ class Ground {
   write(heights, low, high) {
     const [rows, columns] = [high[0] - low[0], high[1] - low[1]], gl = this.scene.gl, wide = this.n[1];
     if (rows < 1 || columns < 1) return;
-    const data = new Float32Array(4 * rows * columns), light = unit(SUN);
+    if (!(this.data?.length >= 4 * rows * columns)) this.data = new Float32Array(4 * rows * columns);
+    const data = this.data, light = unit(SUN);
     const drop = this.cell[1] / -light[2] * light[1], slide = this.cell[1] / -light[2] * light[0] / this.cell[0];
     const whole = Math.floor(slide), share = slide - whole, H = this.horizon;
     const code = (slope) => Math.max(0, Math.min(4095, Math.round(2048 + 512 * slope)));  // two in a float
