@@ -12,7 +12,7 @@ from tensorboard.util import tensor_util
 import learning_to_simulate as lts
 from learning_to_simulate import api, checkpoints, registry
 from learning_to_simulate.live import roll_out_path
-from learning_to_simulate.soil_field import method
+from learning_to_simulate.soil_field import method, samples, training
 from pca_tools import files
 from tests.learning_to_simulate.native.worlds import needs_c
 from tests.learning_to_simulate.soil_field import worlds
@@ -131,6 +131,18 @@ def test_files_of_an_evaluation_hold_the_rollouts(model, folders, tmp_path):
     assert (stored['ground_truth_forces'] == opened.groups[0].force).all()
     assert str(stored['case']) == '7' and str(stored['model_digest']) == 'digest'
     assert files.read_json(f'{path}/metrics.json')['method'] == 'soil_field'
+
+
+def test_one_step_errors_are_of_the_mean_of_the_members():
+    field = training.make_field(worlds.CONFIG, 'blade', worlds.SMALL)
+    runs, squares = [worlds.run(3), worlds.run(4)], []
+    for run in runs:
+        first, second = field.loads(samples.episode_of(run).frames) * run.tool.units(run.soil)
+        said = (first + second) / 2 * [-1, 1, -1, -1, 1, -1]  # along is -x, across is -z
+        off = said - np.concatenate([run.force, run.torque], axis=1)
+        squares.append([np.mean(off[:, :3] ** 2), np.mean(off[:, 3:] ** 2)])
+    found = method._one_step_errors(field, runs)
+    assert list(found.values()) == pytest.approx(np.mean(squares, axis=0), rel=1e-5)
 
 
 @needs_c

@@ -8,7 +8,8 @@ import pytest
 from mpm import SOLVER_VERSION
 from mpm.verification import ladder
 
-SIZES = {'cells_0.75': 0.75, 'base': 1.0, 'cubic': 1.0, 'cells_1.5': 1.5, 'cells_2': 2.0}
+# Cubic cells act as half of the size does.
+SIZES = {'cells_0.75': 0.75, 'base': 1.0, 'cubic': 0.5, 'cells_1.5': 1.5, 'cells_2': 2.0}
 
 
 def run(cell, along, across=1.0, surface=0):
@@ -51,5 +52,8 @@ def test_tables_tell_how_far_the_truth_is_from_finer_grids(path):
     text = ladder.in_short(path)
     assert "a blade's force differs by 14 to 21 %, a wheel's drawbar by 28 to 28 %" in text
     assert 'tools' not in ladder.limits(path) and 'blade, base | 2 |' in ladder.summary(path)
+    # 200 N for the 125 N of cubic cells.
+    over_cubic = 'wheel, base | 1 | +60.0% (+60.0%) | +0.0% (+0.0%) | 0.600 (0.600) |'
+    assert over_cubic in ladder.summary(path)
     first = ladder.side_plates(path).splitlines()[2]
     assert first == f'| 20 | 70 | 0 | {16.7 / 53.3:.3f} | 0.17 |'
