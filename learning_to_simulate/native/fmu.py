@@ -20,7 +20,7 @@ from learning_to_simulate.soil_field.tools import TOOLS, Soil
 # Places at which heights are told, along and across (fmu_core.h), and what the terrain is at first,
 # m.
 HEIGHTS = (9, 5)
-TERRAIN = {'size': (4.0, 2.0), 'cell': 0.02, 'height': 0.0, 'depth': 1.0, 'grid': 0.1}
+TERRAIN: dict = {'size': (4.0, 2.0), 'cell': 0.02, 'height': 0.0, 'depth': 1.0, 'grid': 0.1}
 STEP = 0.01  # s, step of the default experiment
 
 

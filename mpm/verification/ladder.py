@@ -295,7 +295,7 @@ def _read(path) -> dict:
 
 def jobs(values=None) -> Jobs:
     """Returns what there is to make: all cases of a variant, then the next variant."""
-    made = {}
+    made: Jobs = {}
     for cases, variants in ((CASES, VARIANTS), (BUCKET, ACROSS)):
         for (variant, what), name in itertools.product(variants.items(), cases):
             if (name, variant) not in THROWN:
