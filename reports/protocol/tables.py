@@ -176,5 +176,6 @@ def shipped(*paths: str) -> str:
             if name in figures:
                 rows.append((f'`{scene}/{folder}`', purpose, *cells(name)))
         rows.append((f'*{scene}: persistence*', 'soil and force stay', *cells('persistence')))
-        rows.append((f"*{scene}: truth's own error*", 'finer grids', *_own(document, IN_SHORT)))
+        own = f"*{scene}: truth's own error*", 'force: on cubic cells; drawbar: limit of fine cells'
+        rows.append((*own, *_own(document, IN_SHORT)))
     return markdown.table(('model', 'for', *(TITLES[q] for q in IN_SHORT)), rows)

@@ -231,7 +231,7 @@ FMI2_EXPORT fmi2Status FMI2(fmi2SetReal)(fmi2Component instance, const fmi2Value
   }
 EACH(fmi2GetReal, fmi2Real, get_real(&c->core, vr[i], &value[i]))
 EACH(fmi2GetInteger, fmi2Integer, fmu_get_integer(&c->core, vr[i], &value[i]))
-EACH(fmi2SetInteger, const fmi2Integer, fmu_set_integer(&c->core, vr[i], value[i]))
+EACH(fmi2SetInteger, const fmi2Integer, "no integer variable can be set")
 EACH(fmi2GetBoolean, fmi2Boolean, fmu_get_boolean(&c->core, vr[i], &value[i]))
 EACH(fmi2SetBoolean, const fmi2Boolean, "no boolean variable can be set")
 EACH(fmi2GetString, fmi2String, fmu_get_string(&c->core, vr[i], &value[i]))

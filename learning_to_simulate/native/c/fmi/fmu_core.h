@@ -91,7 +91,6 @@ const char *fmu_go(fmu_core *core, double h);
 /* Computes an output that is not computed before somebody looks. */
 void fmu_show(fmu_core *core, unsigned vr);
 const char *fmu_get_integer(fmu_core *core, unsigned vr, int *value);
-const char *fmu_set_integer(fmu_core *core, unsigned vr, int value);
 const char *fmu_get_boolean(fmu_core *core, unsigned vr, int *value);
 const char *fmu_get_string(fmu_core *core, unsigned vr, const char **value);
 const char *fmu_derivative(fmu_core *core, const unsigned *unknown, size_t n_unknown, const unsigned *known,

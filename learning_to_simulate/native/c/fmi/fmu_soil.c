@@ -245,11 +245,6 @@ const char *fmu_get_integer(fmu_core *c, unsigned vr, int *value) {
   return wrong;
 }
 
-const char *fmu_set_integer(fmu_core *c, unsigned vr, int value) {
-  (void)c, (void)vr, (void)value;
-  return "no integer variable can be set";
-}
-
 const char *fmu_get_boolean(fmu_core *c, unsigned vr, int *value) {
   lts_soil_result result;
   if (vr >= FMU_TOOLS * N_BOOLEAN) return "no Boolean variable of this value reference";
