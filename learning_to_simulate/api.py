@@ -141,7 +141,10 @@ class TrainedModel:
     @functools.cached_property
     def _at_rest(self):
         if not self._method.steps:
-            raise ValueError(f'{self.path}: {self.config.model} has no live stepping and no paths')
+            raise ValueError(
+                f'{self.path}: {self.config.model} is a baseline for recorded runs: it has no live '
+                f'stepping and no paths'
+            )
         self.scene.check_one_body('stepping and rolling out by poses')
         from learning_to_simulate.live import starts
 
@@ -158,13 +161,14 @@ class TrainedModel:
           engine: 'best', or 'c' or 'tensorflow' alone.
 
         Raises:
-          FileNotFoundError, ValueError: as `starts`; a model on particles.
+          FileNotFoundError, ValueError: as `starts`.
           native.library.NoCompiler: of 'c', where there is no C compiler.
         """
         from learning_to_simulate.native import engines
 
         starts, space = self._at_rest
-        return engines.stepper(self.model, starts, space, engine, outside=outside)
+        step = self._method.load_code().Step
+        return engines.stepper(self.model, starts, space, engine, step, outside=outside)
 
     def rollout(self, path, velocity=None, case: int | None = None, context=None):
         """Rolls out a whole path, several one after the other, or a recorded run.
@@ -219,7 +223,7 @@ class TrainedModel:
             space = self.subspace if has_own else None
             return None if space is None else Decoder(space, self.scene.up_axis)
         if space.n_modes < self.scene.n_modes:  # a model on particles
-            return None
+            return self.model.decoder()
         return Decoder(space.truncated(self.scene.n_modes), self.scene.up_axis)
 
     def _opened(self, split):

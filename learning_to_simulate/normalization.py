@@ -198,7 +198,7 @@ def compute_statistics(groups, metadata, scene: Scene, config: TrainConfig) -> S
     if scene.has_force:
         force = _rows([group.force for group in groups])
         values['force_mean'], values['force_std'] = _of_force(force, metadata, scene, config)
-    return Statistics(**values, **_ranges(groups, scene))
+    return Statistics(**values, **ranges(groups, scene))
 
 
 def node_classes(n_rigid: int, n_modes: int) -> np.ndarray:
@@ -310,8 +310,9 @@ def _contexts(groups):
     ]
 
 
-def _ranges(groups, scene):
-    """Least and greatest of what the training runs covered, whatever the model is."""
+def ranges(groups, scene) -> dict[str, np.ndarray]:
+    """Least and greatest of what the training runs covered, whatever the model is: the arrays of
+    `Statistics` whose names end so."""
     positions = [group.position for group in groups]
     classes = _by_class(positions, scene.n_modes)
     ends = [[f(samples, axis=0) for samples in classes] for f in (np.min, np.max)]

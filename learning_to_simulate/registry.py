@@ -10,6 +10,8 @@ The module of its `code` has three functions:
       A trained model with the runs of a split; refuses data that it does not fit.
   load(model_path) -> model
 
+and, where the method `steps`, a class `Step`: frames of (model, R), as `live.stepper.TfStep`.
+
 Its settings are a frozen dataclass with the fields `preset` and `model`; `presets` lists those of
 all methods.
 """
@@ -30,11 +32,7 @@ class Method:
     code: str  # module with `train`, `open_model` and `load`
     takes_raw_runs: bool = False  # of a dataset (`raw_path`), not records alone
     on_terrain: bool = False  # whether its models work on a given terrain: `api.TerrainModel`
-
-    @property
-    def steps(self) -> bool:
-        """Whether its models start from a bed at rest and take poses, live or as whole paths."""
-        return self.code == _SUBSPACE
+    steps: bool = True  # whether its models start from a bed and take poses, live or as paths
 
     def check_raw_path(self, raw_path: str | None) -> None:
         if raw_path and not self.takes_raw_runs:
@@ -90,6 +88,7 @@ METHODS = {
     'path_ridge': Method(
         'kernel ridge on the path so far, no dynamics: a baseline',
         'learning_to_simulate.baselines.method',
+        steps=False,
     ),
 }
 

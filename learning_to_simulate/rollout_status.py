@@ -167,6 +167,8 @@ class NodeRanges:
         # Of a body whose whole motion is given nothing is predicted.
         self._first = n_rigid if scene.rigid_motion == RigidMotion.PRESCRIBED else 0
         node_class = normalization.node_classes(n_rigid, scene.n_modes)
+        # Soil particles share one range, modes have one each.
+        node_class = np.minimum(node_class, statistics.position_range.shape[1] - 1)
         extra = 1 + 2 * RANGE_MARGIN
         self.bounds = _limits(*statistics.position_range, BOUNDS_FACTOR)[:, node_class]  # type: ignore[call-arg]
         self.start_limits = _limits(*statistics.position_range, extra)[:, node_class]  # type: ignore[call-arg]

@@ -46,6 +46,7 @@ PARTS = {
     'grousers': (scenes.WHEEL, ('grousers',)),
     'wheel_brief': (scenes.WHEEL, ('brief',)),
     'wheel_rut': (scenes.WHEEL, ('rut',)),
+    'wheel_tow': (scenes.WHEEL, ('tow',)),
     'wheel_grid': (scenes.WHEEL, ()),
 }
 DIGESTS = 'digests.json'

@@ -46,6 +46,7 @@ RUNS = {
         'grousers': 30,
         'brief': 300,
         'rut': 40,
+        'tow': 60,
     },
 }
 TEST, VALID = 10, 5  # runs of each kind

@@ -17,13 +17,16 @@ from learning_to_simulate.config import FullSpaceConfig
 from learning_to_simulate.full_space.simulator import (
     ParticleSimulator,
     ParticleStatistics,
+    ParticleStep,
     compute_statistics,
     typical_radius,
 )
+from learning_to_simulate.live import starts
+from learning_to_simulate.live.soil import Particles
 from learning_to_simulate.reading_utils import RunGroup, context_of
 from learning_to_simulate.registry import OpenedModel
 from learning_to_simulate.rollout import Rollout
-from learning_to_simulate.rollout_status import Judgement, RolloutStatus
+from learning_to_simulate.rollout_status import judge
 from learning_to_simulate.scene import RigidMotion
 from learning_to_simulate.training import loop
 from learning_to_simulate.training.schedule import GradientTraining
@@ -33,6 +36,7 @@ from pca_tools.subspace import Subspace
 
 SOIL_TYPE = 6  # of the authors' records
 RAW, DECODED = 'raw runs', 'decoded from the subspace'
+Step = ParticleStep  # of `registry`
 _WINDOW_STREAM, _EVALUATION_STREAM = 11, 12
 
 
@@ -237,6 +241,11 @@ class ParticleModel:
     def edge_counts(self) -> dict[str, int]:
         return {}
 
+    def decoder(self, subspace=None) -> Particles:
+        """Its nodes are particles; a subspace is not needed."""
+        box = self.simulator.statistics.low, self.simulator.statistics.high
+        return Particles(box, self.simulator.scene.up_axis)
+
 
 def make_model(data_path, metadata, group, config, rigid_motion=None) -> ParticleModel:
     """A fresh model for the training runs `group`; ValueError for a scene that it cannot
@@ -264,28 +273,35 @@ def train(data_path, model_path, config, options) -> dict:
     """Trains to the end, or resumes; see `registry.train`."""
     raw_path = options.raw_path
     metadata = dataset.read_metadata(data_path)
-    read = [
-        read_runs(data_path, raw_path, split, metadata, config.soil_particles)
+    read = {
+        split: read_runs(data_path, raw_path, split, metadata, config.soil_particles)
         for split in ('train', 'valid')
         if os.path.exists(dataset.split_path(data_path, split))
-    ]
-    model = make_model(data_path, metadata, read[0], config, options.rigid_motion)
+    }
+    group = read['train']
+    model = make_model(data_path, metadata, group, config, options.rigid_motion)
     source, scene = RAW if raw_path else DECODED, model.simulator.scene
     weights = sum(int(np.prod(v.shape)) for v in model.simulator.trainable_variables)
     training = loop.Training(
         model=model,
-        trainer=ParticleTrainer(model, read[0]),
-        evaluator=ParticleEvaluator(model, {} if raw_path else metadata),
-        valid=read[1:],
-        n_rigid=read[0].n_rigid,
+        trainer=ParticleTrainer(model, group),
+        evaluator=ParticleEvaluator(
+            model, {} if raw_path else metadata, starts.largest_force([group])
+        ),
+        valid=[read['valid']] if 'valid' in read else [],
+        n_rigid=group.n_rigid,
         data={
             'path': data_path,
             'source': source,
             'sha256': {'metadata.json': files.sha256_of_file(f'{data_path}/metadata.json')},
         },
-        title=f'{config.preset} on {data_path} ({source}): {len(read[0].position)} runs, '
-        f'{read[0].n_rigid} rigid and {scene.n_soil} soil particles, radius '
+        title=f'{config.preset} on {data_path} ({source}): {len(group.position)} runs, '
+        f'{group.n_rigid} rigid and {scene.n_soil} soil particles, radius '
         f'{scene.connectivity_radius:.4g} m, {weights} weights',
+    )
+    by_split = {split: [runs] for split, runs in read.items()}
+    training.write_files = lambda path: starts.write_parts(
+        path, starts.of_groups(data_path, by_split)
     )
     return loop.run(training, model_path, options)
 
@@ -335,7 +351,7 @@ def open_model(model_path, data_path, split, raw_path=None) -> OpenedModel:
         model,
         [group],
         metadata,
-        ParticleEvaluator(model, metadata),
+        ParticleEvaluator(model, metadata, starts.read_force_limit(model_path)),
         lambda: ParticleTrainer(model, group).one_step_errors(),
     )
 
@@ -347,31 +363,30 @@ class ParticleEvaluator(evaluation.Evaluator):
 
     def roll_out(self, group) -> Rollout:
         """Rolls out the one run of a group from its first H frames; stops where it blows up."""
-        simulator, n, n_frame = self._model.simulator, group.n_rigid, group.position.shape[1]
-        body = np.diff(group.position[0, H - 1 :, :n], axis=0)
-        position, velocity = history_of(group, 0, H - 1)
-        simulator.step(position, velocity, 0 * body[0], group.context_at(H, 0), n)  # type: ignore[call-arg]  # warm-up
-        positions = np.full((1, n_frame - H, *position.shape), np.nan)
+        simulator, n, count = self._model.simulator, group.n_rigid, group.position.shape[1] - H
+        step = ParticleStep(self._model, n)
+        body = group.position[0, :, :n]
+        positions = np.full((1, count, *group.position.shape[2:]), np.nan)
         forces = None
         if group.force is not None:
-            forces = np.full((1, n_frame - H, 3), np.nan, np.float32)
-        edges, judgement = [], Judgement(RolloutStatus.OK)
-        start = time.perf_counter()
-        for k in range(n_frame - H):
-            displacement, force, n_edge = simulator.step(  # type: ignore[call-arg]
-                position, velocity, body[k], group.context_at(H + k, 0), n
-            )
-            position = position + displacement
-            velocity = np.concatenate([velocity[1:], displacement[None]])
-            if not (np.isfinite(position).all() and (force is None or np.isfinite(force).all())):
-                judgement = Judgement(RolloutStatus.NON_FINITE, H + k, -1, 'not a number')
-                break
+            forces = np.full((1, count, 3), np.nan, np.float32)
+        step.reset(group.position[0, :H], group.context_at(H - 1, 0))
+        edges, start = [], time.perf_counter()
+        for k in range(count):
+            coming, context = body[H + k], group.context_at(H + k, 0)
+            position, force = step.propose(coming, coming - body[H + k - 1], context)
             positions[0, k] = position
             if forces is not None:
                 forces[0, k] = force
-            edges.append(n_edge)
-        seconds, n_edge = time.perf_counter() - start, round(np.mean(edges)) if edges else 0
-        return Rollout(positions, forces, [judgement], seconds, n_edge)
+            edges.append(step.edges)
+            if not (np.isfinite(position).all() and (force is None or np.isfinite(force).all())):
+                break
+            step.accept()
+        seconds = time.perf_counter() - start
+        judgements = judge(
+            group, positions, forces, simulator.statistics, simulator.scene, self._force_limit
+        )
+        return Rollout(positions, forces, judgements, seconds, round(np.mean(edges)))
 
     def run(self, groups, split: str, progress=iter):
         """As `Evaluator.run`, with the memory in the metrics."""

@@ -4,7 +4,9 @@ The network is that of `graph_network` with the edges as tensors: messages are s
 since a dense incidence matrix of thousands of edges would not pay.
 """
 
+import copy
 import dataclasses
+from typing import Any
 
 import numpy as np
 import sonnet as snt
@@ -12,7 +14,7 @@ import tensorflow as tf
 from scipy.spatial import cKDTree
 
 from learning_to_simulate.axes import speed_of, without_height
-from learning_to_simulate.normalization import Arrays, array, floored
+from learning_to_simulate.normalization import Arrays, array, floored, ranges
 from learning_to_simulate.scene import RigidMotion, Scene
 from learning_to_simulate.subspace import graph_network
 from learning_to_simulate.subspace.learned_simulator import RATE_FLOOR
@@ -30,6 +32,7 @@ class ParticleStatistics(Arrays):
         times `body_speed`. The mean is zero by choice: soil mostly rests.
       height_std: of the acceleration of the body's height, m/frame².
       low, high: box of the soil in the first frames, m: where the walls are.
+      position_range and the other ranges: as of `normalization.Statistics`.
       force_mean, force_std: N, or None.
       context_mean, context_std: or None.
     """
@@ -43,6 +46,12 @@ class ParticleStatistics(Arrays):
     force_std: np.ndarray | None = array('D', optional=True)
     context_mean: np.ndarray | None = array('C', optional=True)
     context_std: np.ndarray | None = array('C', optional=True)
+    position_range: np.ndarray = array('2 2 D')
+    given_range: np.ndarray | None = array('2 D', optional=True)
+    given_velocity_range: np.ndarray | None = array('2 D', optional=True)
+    body_extent_range: np.ndarray | None = array('2 D', optional=True)
+    body_speed_range: np.ndarray | None = array('2 1', optional=True)
+    context_range: np.ndarray | None = array('2 C', optional=True)
 
     def check(self, scene: Scene) -> None:
         """Raises ValueError where a value does not fit the scene, is infinite, or divides by 0."""
@@ -66,10 +75,13 @@ def compute_statistics(group, scene: Scene, rate_scaled: bool) -> ParticleStatis
     rows = [velocity[:, :, :n], velocity[:, :, n:]] if n else [velocity, velocity]
     stds = [np.sqrt((row**2).mean(axis=(0, 1, 2))) for row in rows]
     soil = group.position[:, 0, n:]
-    further = {}
+    further = ranges([group], scene)
+    body, (low, high) = further['position_range'][:, 0], further['position_range'][:, 1:]
+    reached = np.stack([low.min(axis=0), high.max(axis=0)])
+    further['position_range'] = np.stack([body, reached], axis=1)
     if group.force is not None:
         spread = max(group.force.std(axis=(0, 1)).max(), 1e-9)
-        further = {'force_mean': group.force.mean(axis=(0, 1)), 'force_std': np.full(3, spread)}
+        further |= {'force_mean': group.force.mean(axis=(0, 1)), 'force_std': np.full(3, spread)}
     if group.context is not None:
         context = group.context.reshape(-1, group.context.shape[-1])
         further['context_mean'] = context.mean(axis=0)
@@ -112,11 +124,12 @@ class ParticleSimulator(snt.Module):
         self.scene, self.config, self.statistics = scene, config, statistics
         self.particle_types = particle_types
         self.dim = len(statistics.low)
+        self.force_size = self.dim if scene.has_force else 0
         self._network = ParticleNetwork(
             config.latent_size,
             config.hidden_layers,
             config.message_passing_steps,
-            self.dim * (2 if scene.has_force else 1),
+            self.dim + self.force_size,
         )
         shapes = ((None, None), (None, None), (None,), (None,))
         types = (tf.float32, tf.float32, tf.int32, tf.int32)
@@ -129,11 +142,16 @@ class ParticleSimulator(snt.Module):
 
     def create_variables(self):
         """Makes all variables; as `subspace_model.Model.create_variables`."""
-        s = self.scene
-        width = self.dim * (self.config.velocity_inputs + 3) + 2 + len(s.context_names)
-        self._network(
-            tf.zeros([1, width]), tf.zeros([1, self.dim + 1]), tf.constant([0]), tf.constant([0])
-        )
+        self._network(*self._one_node())
+
+    def _one_node(self):
+        width = self.dim * (self.config.velocity_inputs + 3) + 2 + len(self.scene.context_names)
+        ends = tf.constant([0])
+        return tf.zeros([1, width]), tf.zeros([1, self.dim + 1]), ends, ends
+
+    def compile(self) -> None:
+        """Traces the network now and not in the first frame."""
+        self._compiled(*self._one_node())
 
     def inputs(self, position, velocity, body_velocity, context, n_rigid):
         """Graph and features of one state, in float64 until the last cast.
@@ -217,6 +235,41 @@ class ParticleSimulator(snt.Module):
             # Of the rigid particles, on which it acts; of all where there are none.
             force = forces[: n_rigid or None].mean(axis=0) * s.force_std + s.force_mean
         return displacement, force, len(graph[2])
+
+
+class ParticleStep:
+    """Frames of a `method.ParticleModel` for R rigid particles: as `live.stepper.TfStep`, with a
+    new graph in every frame; `edges` is the number of edges of the newest one."""
+
+    def __init__(self, model, n_rigid: int):
+        self._simulator, self._n, self.edges = model.simulator, n_rigid, 0
+        # Of the newest frame and of the coming one: position, velocities, context.
+        self._newest: Any = None
+        self._proposed: Any = None
+        self._simulator.compile()
+
+    def reset(self, history, context) -> None:
+        """As of `TfStep`."""
+        self._newest = history[-1], np.diff(history, axis=0), context
+
+    def propose(self, body, displacement, context=None):
+        """As of `TfStep`; of the body [R, D] the displacement says all."""
+        position, velocity, held = self._newest
+        context = held if context is None else context
+        moved, force, self.edges = self._simulator.step(
+            position, velocity, displacement, context, self._n
+        )
+        after = position + moved
+        self._proposed = after, np.concatenate([velocity[1:], moved[None]]), context
+        return after, None if force is None else force.astype(np.float32)
+
+    def accept(self) -> None:
+        """Takes the frame that was proposed last as the newest one."""
+        self._newest = self._proposed
+
+    def clone(self) -> 'ParticleStep':
+        """Another run at the same point."""
+        return copy.copy(self)
 
 
 class ParticleNetwork(snt.Module):

@@ -48,7 +48,7 @@ class SoilRollout(Judged):
     name: str = 'rollout'
     soil_truth: SoilTruth | None = None
     sampled: np.ndarray | None = None
-    decoder: soil.Decoder | None = None
+    decoder: soil.Particles | None = None
 
     torque = None  # none of these models predicts one
 

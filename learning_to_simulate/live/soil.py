@@ -20,20 +20,18 @@ def surface(points, extent, up_axis: int, nx: int, nz: int) -> np.ndarray:
     return np.where(np.isinf(heights), np.float32(np.nan), heights).reshape(nx, nz)
 
 
-class Decoder:
-    """Decodes the scores of a subspace, in float32; `extent` [2, 2], m, is what a height map spans,
-    lowest and highest of each level axis of the bed at rest."""
+class Particles:
+    """Soil whose nodes [..., N, D] are particles themselves; `extent` [2, 2], m, is what a height
+    map spans, lowest and highest of each level axis of the bed at rest [N, D]."""
 
-    def __init__(self, subspace: Subspace, up_axis: int):
+    def __init__(self, initial, up_axis: int):
         self.up_axis = up_axis
-        self._components = np.ascontiguousarray(subspace.components, np.float32)
-        self._mean = np.asarray(subspace.mean, np.float32)
-        plan = np.delete(np.asarray(subspace.initial, np.float64), up_axis, axis=1)
+        plan = np.delete(np.asarray(initial, np.float64), up_axis, axis=1)
         self.extent = np.stack([plan.min(axis=0), plan.max(axis=0)], axis=1)
 
     def particles(self, modes) -> np.ndarray:
-        """float32 [..., N, D], m, of scores [..., r, D] (inverse PCA)."""
-        return self._components @ np.asarray(modes, np.float32) + self._mean
+        """float32 [..., N, D], m."""
+        return np.asarray(modes, np.float32)
 
     def height_map(self, modes, nx: int, nz: int) -> np.ndarray:
         """float32 [nx, nz] heights of the surface over the bed at rest, along the drive and across
@@ -41,7 +39,20 @@ class Decoder:
         return surface(self.particles(modes), self.extent, self.up_axis, nx, nz)
 
 
-def known(decoder: Decoder | None) -> Decoder:
+class Decoder(Particles):
+    """Decodes the scores of a subspace, in float32."""
+
+    def __init__(self, subspace: Subspace, up_axis: int):
+        super().__init__(subspace.initial, up_axis)
+        self._components = np.ascontiguousarray(subspace.components, np.float32)
+        self._mean = np.asarray(subspace.mean, np.float32)
+
+    def particles(self, modes) -> np.ndarray:
+        """float32 [..., N, D], m, of scores [..., r, D] (inverse PCA)."""
+        return self._components @ np.asarray(modes, np.float32) + self._mean
+
+
+def known(decoder: Particles | None) -> Particles:
     """A decoder; ValueError without a subspace."""
     if decoder is None:
         raise ValueError('particles need a subspace: the model has none')

@@ -73,12 +73,22 @@ def collect(data_path: str, nodes: dict) -> Starts:
     """The different starts of a dataset's records; raises as `reading_utils.read_groups`. `nodes`
     are of `TrainConfig`, but for the modes: starts hold all of them."""
     metadata = dataset.read_metadata(data_path)
+    return of_groups(
+        data_path,
+        {
+            split: reading_utils.read_groups(data_path, split, metadata, **nodes | {'modes': 0})
+            for split in SPLITS
+            if os.path.exists(dataset.split_path(data_path, split))
+        },
+    )
+
+
+def of_groups(data_path: str, by_split: dict[str, list]) -> Starts:
+    """The different starts of a dataset's runs: split -> `RunGroup`s; the modes are their soil."""
+    metadata = dataset.read_metadata(data_path)
     found: list[tuple] = []
     force_limit = None
-    for split in SPLITS:
-        if not os.path.exists(dataset.split_path(data_path, split)):
-            continue
-        groups = reading_utils.read_groups(data_path, split, metadata, **nodes | {'modes': 0})
+    for split, groups in by_split.items():
         cases = metadata.get('cases', {}).get(split, [])
         stated = [r.rigid_pose for r in dataset.read_split(data_path, split)]
         if split == 'train':
@@ -148,7 +158,15 @@ def _add(found, case, group, run, pose):
 def write(model_path: str, data_path: str, nodes: dict) -> dict[str, str]:
     """Writes the files of this module into a model folder; returns their sha256 by name. A dataset
     folder without a subspace gives none; `nodes` are of the model's `TrainConfig`."""
-    starts = collect(data_path, nodes)
+    source, space = os.path.join(data_path, SUBSPACE_FILE), None
+    if os.path.exists(source):
+        space = Subspace.load(source)
+        space = space.truncated(nodes['modes'] or space.n_modes)
+    return write_parts(model_path, collect(data_path, nodes), space)
+
+
+def write_parts(model_path: str, starts: Starts, space: Subspace | None = None) -> dict[str, str]:
+    """As `write`, of what is there."""
     flat = {'modes': starts.modes, 'pose': starts.pose}
     for name in ('body', 'kept'):
         parts = getattr(starts, name)
@@ -161,11 +179,8 @@ def write(model_path: str, data_path: str, nodes: dict) -> dict[str, str]:
     flat['cases'] = np.array([json.dumps(case) for case in starts.cases])
     files.write_npz(os.path.join(model_path, START_FILE), **flat)
     written = [START_FILE]
-    source = os.path.join(data_path, SUBSPACE_FILE)
-    if os.path.exists(source):
-        space = Subspace.load(source)
-        kept = space.truncated(nodes['modes'] or space.n_modes)
-        kept.save(os.path.join(model_path, SUBSPACE_FILE))
+    if space is not None:
+        space.save(os.path.join(model_path, SUBSPACE_FILE))
         written.append(SUBSPACE_FILE)
     return {n: files.sha256_of_file(os.path.join(model_path, n)) for n in written}
 

@@ -1,11 +1,13 @@
-"""`Stepper`: a model in a subspace, stepped with the poses of its body, one frame per call.
+"""`Stepper`: a model in a subspace or on particles, stepped with the poses of its body, one frame
+per call.
 
     stepper = lts.load('excavation/pcg').stepper()
     stepper.start(pose, velocity)
     frame = stepper.step(next_pose)
     points = frame.particles()        # only where they are asked for
 
-A step computes the frames: `TfStep`, or by C (`native.engines`). Input that cannot be used is
+A step computes the frames: `TfStep`, `full_space.simulator.ParticleStep`, or by C
+(`native.engines`). Input that cannot be used is
 refused before anything changes; input unlike the training runs is used and flagged, in that frame
 and in all that follow. After the first call nothing is compiled any more.
 """
@@ -52,12 +54,18 @@ class TfStep:
         if self._layout.memory is not None:
             run = spec((1, path_memory.WIDTH)), spec((1, scene.n_modes, dim))
         self._frame = tf.function(self._compute, jit_compile=True, autograph=False)
+        n_context = len(scene.context_names)
         self._call = self._frame.get_concrete_function(
             SimulatorState(spec((*shape, dim)), spec((*shape, H - 1, dim))),
             KnownMotion(body, body, *run) if scene.rigid_motion.is_known else None,
-            spec((1, len(scene.context_names))) if scene.context_names else None,
+            spec((1, n_context)) if n_context else None,
             spec((1, n_rigid, dim), tf.float64) if predicted else None,
         )
+        # Compiled now and not in the first frame.
+        origin = self._layout.origin
+        self.reset(np.tile(origin, (H, 1, 1)), np.ones(n_context) if n_context else None)
+        known = origin[:n_rigid], np.zeros((n_rigid, dim))
+        self.propose(*known if scene.rigid_motion.is_known else (None, None))
 
     def reset(self, history, context) -> None:
         """Starts after the frames float64 [H, V, D], with a context float64 [C] or None."""
@@ -116,7 +124,7 @@ class Frame(NamedTuple):
     Attributes:
       judgement: how far it can be trusted: the worst since the start, with the frame in which that
         began and the reason.
-      modes: float64 [r, D] scores of the soil, m.
+      modes: float64 [r, D] scores of the soil, m, or its particles, of a model on them.
       rigid_pose: float64 [R, D] particles of the body that are nodes, m.
       pose: float64 [7], position (m) and quaternion (w, x, y, z) of the body; None where the body
         is given by its particles, or they do not fix one.
@@ -131,7 +139,7 @@ class Frame(NamedTuple):
     pose: np.ndarray | None
     force: np.ndarray | None
     now: Judgement = OK
-    decoder: soil.Decoder | None = None
+    decoder: soil.Particles | None = None
 
     def __repr__(self) -> str:
         values = [] if self.force is None else [f'{value:.4g}' for value in np.ravel(self.force)]
@@ -174,13 +182,14 @@ class Stepper:
     """Steps a model frame by frame.
 
     Args:
-      model: `subspace_model.Model`.
+      model: `subspace_model.Model`, or `full_space.method.ParticleModel`.
       starts: `starts.Starts` of the model folder; None where only recorded frames are begun from.
       subspace: turns modes into particles; None if particles are never asked for.
       n_rigid: R of the first run; None for that of the first start.
       outside: what is done with a frame that is not `ok`: 'flag' goes on and says so; 'hold' stays
         in the frame before; 'raise' refuses it. A frame that is not finite never becomes the state.
-      make_step: makes the step of (model, R): `TfStep`, or `native.binding.CSubspace`.
+      make_step: makes the step of (model, R): `TfStep`, `full_space.simulator.ParticleStep`, or
+        `native.binding.CSubspace`.
 
     Raises:
       ValueError: an unknown `outside`, a subspace of another number of modes or particles than the
@@ -198,9 +207,7 @@ class Stepper:
             raise ValueError(f'outside is {outside!r}, must be one of {(FLAG, HOLD, RAISE)}')
         self._model, self._make, self._outside = model, make_step, outside
         self.scene, self.starts, self.engine = model.simulator.scene, starts, 'TensorFlow'
-        self._decoder = None
-        if subspace is not None:
-            self._decoder = soil.Decoder(model.fitting_subspace(subspace), self.scene.up_axis)
+        self._decoder = model.decoder(subspace)
         self._lock = threading.Lock()
         self._sizes: dict[int, tuple] = {}  # R -> step and ranges
         self._run: _Run | None = None
@@ -219,16 +226,10 @@ class Stepper:
 
     def _of_size(self, n_rigid):
         if n_rigid not in self._sizes:
-            model, scene = self._model, self.scene
-            step = self._make(model, n_rigid)
-            origin = model.layout(n_rigid).origin
-            n = len(scene.context_names)
-            step.reset(np.tile(origin, (H, 1, 1)), np.ones(n) if n else None)
-            known = origin[:n_rigid], np.zeros((n_rigid, origin.shape[1]))
-            step.propose(*known if scene.rigid_motion.is_known else (None, None))
             limit = None if self.starts is None else self.starts.force_limit
-            ranges = NodeRanges(n_rigid, model.simulator.statistics, scene, limit)
-            self._sizes[n_rigid] = step, ranges
+            statistics = self._model.simulator.statistics
+            ranges = NodeRanges(n_rigid, statistics, self.scene, limit)
+            self._sizes[n_rigid] = self._make(self._model, n_rigid), ranges
         return self._sizes[n_rigid]
 
     @property

@@ -4,7 +4,7 @@ TensorFlow, which then says why.
 C gives the frames of TensorFlow to round-off.
 """
 
-from learning_to_simulate.live.stepper import Stepper
+from learning_to_simulate.live.stepper import Stepper, TfStep
 from learning_to_simulate.native import library
 from learning_to_simulate.native.binding import CSubspace
 
@@ -27,9 +27,12 @@ def chosen(kind: str, by_c, by_tensorflow):
     return by_tensorflow(why)
 
 
-def stepper(model, starts=None, subspace=None, kind: str = BEST, **options) -> Stepper:
-    """A stepper of a `subspace_model.Model` with starts and subspace of `live.starts.read`; options
-    `n_rigid` and `outside` of `Stepper`, whose errors this raises.
+def stepper(
+    model, starts=None, subspace=None, kind: str = BEST, make_step=TfStep, **options
+) -> Stepper:
+    """A stepper of a `subspace_model.Model` with starts and subspace of `live.starts.read`, or of
+    another model with its `make_step`; options `n_rigid` and `outside` of `Stepper`, whose errors
+    this raises.
 
     Raises:
       ValueError: an unknown kind (of 'best', 'c', 'tensorflow'); with 'c' a model without a C form.
@@ -37,7 +40,7 @@ def stepper(model, starts=None, subspace=None, kind: str = BEST, **options) -> S
     """
 
     def by_tensorflow(why):
-        found = Stepper(model, starts, subspace, **options)
+        found = Stepper(model, starts, subspace, make_step=make_step, **options)
         found.engine += why
         return found
 

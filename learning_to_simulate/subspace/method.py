@@ -12,6 +12,7 @@ import tensorflow as tf
 from learning_to_simulate import bed, checkpoints, evaluation, normalization, reading_utils
 from learning_to_simulate.axes import Axes
 from learning_to_simulate.live import starts
+from learning_to_simulate.live.stepper import TfStep as Step  # noqa: F401  # of `registry`
 from learning_to_simulate.registry import OpenedModel
 from learning_to_simulate.scene import RigidMotion
 from learning_to_simulate.subspace import contact, edge_lists

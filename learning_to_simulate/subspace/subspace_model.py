@@ -8,6 +8,7 @@ import tensorflow as tf
 from learning_to_simulate import checkpoints
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH, TrainConfig
 from learning_to_simulate.connectivity_utils import build
+from learning_to_simulate.live import soil
 from learning_to_simulate.normalization import Statistics
 from learning_to_simulate.scene import MAX_RIGID, is_int, require
 from learning_to_simulate.subspace import path_memory, whole_state
@@ -72,6 +73,12 @@ class Model:
                 f'on {wanted[0]} modes of {wanted[1]}'
             )
         return subspace
+
+    def decoder(self, subspace: Subspace | None) -> soil.Decoder | None:
+        """Turns modes into particles; errors as of `fitting_subspace`."""
+        if subspace is None:
+            return None
+        return soil.Decoder(self.fitting_subspace(subspace), self.simulator.scene.up_axis)
 
     def create_variables(self, n_rigid: int):
         """Makes all variables by running one frame of zeros; their values follow TensorFlow's

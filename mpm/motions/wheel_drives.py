@@ -18,6 +18,8 @@ brief: `BRIEF` frames of wheels, grousers or height, with a wheel and soil of it
     from wheel to wheel and soil to soil teaches more than a longer drive of one.
 rut: `BRIEF` frames in, out of or across the rut of an earlier pass (a lead-in, as of `disturbed` in
     `operator_paths`) of the same wheel, with a wheel and soil of its own, at a given height.
+tow: as brief, most with grousers, about where a wheel neither pulls nor brakes: one of a vehicle
+    on its way slips by a little less or more than nothing.
 """
 
 from functools import partial
@@ -29,13 +31,15 @@ from mpm.motions import checks, grid
 from mpm.motions.drive import Drive, Levels, Track, poses, under_load
 
 TURNS = ('slip', 'stops', 'reverse', 'load')  # of seeds, if no kind is named
-KINDS = (*TURNS, 'height', 'wheels', 'grousers', 'brief', 'rut')
-OWN = ('wheels', 'grousers', 'brief', 'rut')  # kinds that draw a wheel and a soil
+KINDS = (*TURNS, 'height', 'wheels', 'grousers', 'brief', 'rut', 'tow')
+OWN = ('wheels', 'grousers', 'brief', 'rut', 'tow')  # kinds that draw a wheel and a soil
 BRIEF = 100  # frames
 MAX_RIM_SPEED = 0.04  # m/s; the grid of cases has 0.0195
-SLIPS = (-0.1, 0.9)
+SLIPS, TOW_SLIPS = (-0.1, 0.9), (-0.3, 0.15)
+GROUSERS_SHARE = {'grousers': 1.0, 'brief': 0.4, 'rut': 0.4, 'tow': 0.75}  # of the runs of a kind
 LOAD_FACTORS = (0.5, 1.5)
 RADII, WIDTHS, FRICTION_DEG = (0.03, 0.15), (0.05, 0.125), (28.0, 43.0)  # m, m, deg
+SMALLEST_WITH_GROUSERS = {'tow': 0.05}  # m, radius; the other kinds: 0.07
 GROUSERS = {'count': (8, 25), 'height': (0.005, 0.015), 'thickness': (0.005, 0.009)}
 PRESSURE = (3.0e3, 12.0e3)  # Pa, load over diameter and width, of drawn wheels on the Earth
 SINKAGE = (-0.1, 0.12)  # of the radius, of a wheel at a given height
@@ -52,9 +56,9 @@ _MOON = 2.0  # m/s2
 class _Story(Track):
     """A drive while it is drawn: its rim speed and travel, m/s."""
 
-    def __init__(self, rng, slowest):
+    def __init__(self, rng, slowest, slips):
         super().__init__(rim=0.0, travel=0.0)
-        self._rng, self._slowest = rng, slowest
+        self._rng, self._slowest, self._slips = rng, slowest, slips
 
     def go(self, seconds, rim, slip) -> None:
         """Goes to a rim speed (m/s, forward) at a slip in `seconds`."""
@@ -63,7 +67,7 @@ class _Story(Track):
     def roll(self, seconds, direction=1.0) -> None:
         """Goes to a rim speed and slip that are drawn."""
         rim = direction * self._rng.uniform(self._slowest, MAX_RIM_SPEED)
-        self.go(seconds, rim, self._rng.uniform(*SLIPS))
+        self.go(seconds, rim, self._rng.uniform(*self._slips))
 
 
 def free_drive(
@@ -81,9 +85,7 @@ def free_drive(
         context = _draw_context(rng, scene)
     load = scenes.wheel_load(context)
     if kind in OWN or tool is not None:
-        tool = tool or _draw_wheel(
-            rng, kind == 'grousers' or kind in ('brief', 'rut') and rng.random() < 0.4
-        )
+        tool = tool or _draw_wheel(rng, kind)
         context['diameter_m'] = round(2.0 * tool['radius'], 6)
         context['friction_angle_deg'] = round(rng.uniform(*FRICTION_DEG), 2)
         pressure = rng.uniform(*PRESSURE) * context['gravity_m_s2'] / scenes.EARTH_GRAVITY
@@ -107,8 +109,11 @@ def _draw_context(rng, scene) -> dict:
     }
 
 
-def _draw_wheel(rng, has_grousers) -> dict:
-    radius = rng.uniform(0.07 if has_grousers else RADII[0], RADII[1])
+def _draw_wheel(rng, kind) -> dict:
+    share = GROUSERS_SHARE.get(kind, 0.0)
+    has_grousers = share == 1.0 or share > 0.0 and rng.random() < share
+    smallest = SMALLEST_WITH_GROUSERS.get(kind, 0.07) if has_grousers else RADII[0]
+    radius = rng.uniform(smallest, RADII[1])
     tool = {'name': 'wheel', 'radius': round(radius, 4), 'width': round(rng.uniform(*WIDTHS), 4)}
     if has_grousers:
         height = min(rng.uniform(*GROUSERS['height']), 0.15 * radius)
@@ -121,13 +126,14 @@ def _draw_wheel(rng, has_grousers) -> dict:
 
 
 def _draw(rng, scene, kind, wheel, mean_load, context) -> tuple[Drive, dict]:
-    is_short = kind in ('brief', 'rut')
-    box, story = scene.bin, _Story(rng, 0.02 if is_short else 0.005)
+    is_short = kind in ('brief', 'rut', 'tow')
+    slips = TOW_SLIPS if kind == 'tow' else SLIPS
+    box, story = scene.bin, _Story(rng, 0.02 if is_short else 0.005, slips)
     seconds = BRIEF / scenes.FRAME_RATE if is_short else scenes.DURATION
     frames = round(seconds * scenes.FRAME_RATE)
     start_x = grid.WHEEL_START_X - rng.choice([0.0, rng.uniform(0.0, 0.06)])
     plot, at_height = kind, kind in ('height', 'rut')
-    if kind == 'brief':
+    if kind in ('brief', 'tow'):
         plot, at_height = str(rng.choice(('slip', 'load'))), rng.random() < 0.5
     elif kind == 'wheels':
         plot = str(rng.choice(TURNS))

@@ -43,7 +43,7 @@ def test_a_model_folder_rolls_out_to_the_files_of_every_method(trained, tmp_path
     n = rollout.history.shape[1] - rollout.modes.shape[1]
     np.testing.assert_array_equal(rollout.modes, results[0][2].position[0, :, n:])
     assert rollout.particles(0).shape == (synthetic.N_SOIL, 3)
-    with pytest.raises(ValueError, match='path_ridge has no live stepping and no paths'):
+    with pytest.raises(ValueError, match='path_ridge is a baseline .* no live stepping'):
         model.stepper()
 
 

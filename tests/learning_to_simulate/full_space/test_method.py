@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import tensorflow as tf
 
+import learning_to_simulate as lts
 from learning_to_simulate import checkpoints, presets, registry
 from learning_to_simulate.full_space import method as particles
 from learning_to_simulate.full_space.method import ParticleEvaluator, ParticleTrainer, read_runs
@@ -190,6 +191,46 @@ def test_command_trains_and_rolls_out(folders, tmp_path):
     assert {'stay_still', 'constant_velocity', 'model'} <= summary['mean'].keys()
 
 
+def stepped_like_the_rollout(path, folder):
+    """A stepper of a model after some frames of a recorded run, each as that rolls out."""
+    model, run = lts.load(path), lts.Dataset(folder).test[0]
+    rollout, group = model.rollout(run), model._opened(run.split).groups[0]
+    n, live = group.n_rigid, model.stepper()
+    assert 'no C form' in live.engine
+    live.reset(group.position[0, :6], group.context_at(5, 0))
+    for k in range(4):
+        other = live.clone()
+        frame = live.step(group.position[0, 6 + k, :n])
+        np.testing.assert_allclose(frame.modes, rollout.modes[k], atol=1e-9)
+        np.testing.assert_allclose(frame.force, rollout.force[k], rtol=1e-5)
+        np.testing.assert_array_equal(other.step(group.position[0, 6 + k, :n]).modes, frame.modes)
+        np.testing.assert_array_equal(frame.particles(), frame.modes.astype(np.float32))
+    far = live.propose(group.position[0, 10, :n] + [0.5, 0, 0])
+    assert far.status == 'left_bounds' and 'outside twice' in far.reason
+    return live
+
+
+def test_a_path_from_a_bed_at_rest(folders, tmp_path):
+    """A blade with a whole path: it goes where it is told, the soil is drawn and saved."""
+    path = str(tmp_path / 'model')
+    registry.train(folders['excavation'][0], path, presets.make_config('full_space', **SHORT))
+    model = lts.load(path)
+    begun = model.starts.pose[0]
+    way = np.tile(begun, (5, 1))
+    way[:, 0] -= 0.001 * np.arange(5)
+    rollout = model.rollout(way)
+    assert len(rollout) == 4 and rollout.particles().shape[1:] == rollout.modes.shape[1:]
+    moved = rollout.body[-1] - rollout.body[5]
+    np.testing.assert_allclose(moved, np.tile([-0.004, 0.0, 0.0], (len(moved), 1)), atol=1e-12)
+    rollout.save(str(tmp_path / 'rollout.npz'))
+    rollout.render(str(tmp_path / 'rollout.png'))
+    stored = files.read_npz(str(tmp_path / 'rollout.npz'))
+    n = (stored['particle_types'] == particles.SOIL_TYPE).sum()
+    assert n == model.scene.n_modes and (tmp_path / 'rollout.png').stat().st_size > 5000
+    with pytest.raises(ValueError, match='has no C form'):
+        model.stepper(engine='c')
+
+
 def test_training_learns_resumes_and_refuses(folders, tmp_path):
     """A driven wheel, on particles that are decoded: what the subspace cuts off is stated beside
     the error."""
@@ -210,6 +251,8 @@ def test_training_learns_resumes_and_refuses(folders, tmp_path):
         for m in (opened.model, fresh)
     ]
     assert losses[0] < losses[1]
+    live = stepped_like_the_rollout(path, folder)
+    assert live.particles().shape == (opened.model.simulator.scene.n_modes, 3)
     with pytest.raises(ValueError, match='trained on particles of decoded .*: leave --raw_path'):
         particles.open_model(path, folder, 'test', raw_path=raw)
     with pytest.raises(ValueError, match='noise_std=0.3 contradicts'):
