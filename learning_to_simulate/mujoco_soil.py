@@ -39,6 +39,7 @@ TO_Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 TOLERANCE, REACH, ROUNDS = 2e-7, 1e-4, 12
 EAGER = 3  # rounds after which a hundred times the tolerance will do
 ARM = np.array([1.0, 1.0, 0.1])
+_CROSS = np.cross(np.eye(3)[:, None], np.eye(3)).transpose(2, 0, 1)  # a x b, in a fifth of the time
 # m between a tool and all soil about it, from where it may move as fast as it likes.
 CLEAR = 0.1
 # m of height that a height field can show over and under the terrain as it was.
@@ -238,8 +239,9 @@ class MujocoSoil:
 
     def _apply(self, wrenches):
         """Puts loads in the place of those of the step before; the user's own stay."""
-        np.subtract.at(self._data.xfrc_applied, self._bodies, self.wrenches)
-        np.add.at(self._data.xfrc_applied, self._bodies, wrenches)
+        rows = self._data.xfrc_applied
+        for body, before, now in zip(self._bodies, self.wrenches, wrenches, strict=True):
+            rows[body] += now - before  # several tools may share a body
         self.wrenches = wrenches
 
     def _fly(self, poses, dt):
@@ -458,11 +460,7 @@ def _load(frame):
 def _about_centres(loads, levers):
     """Loads [n, 6] about the tools as wrenches about centres of mass, Z up."""
     found = np.concatenate([loads[:, :3] @ TO_Z_UP.T, loads[:, 3:] @ TO_Z_UP.T], axis=1)
-    x, y, z = levers.T
-    fx, fy, fz = found[:, :3].T  # np.cross takes five times as long
-    found[:, 3] += y * fz - z * fy
-    found[:, 4] += z * fx - x * fz
-    found[:, 5] += x * fy - y * fx
+    found[:, 3:] += np.einsum('ijk,nj,nk->ni', _CROSS, levers, found[:, :3])
     return found
 
 
