@@ -31,3 +31,16 @@ def test_a_drive_over_a_rut_begins_over_the_way_of_an_earlier_pass():
         assert cut.min() - drive.body.reach < now.max() and now.min() < cut.max()
         # No jump where one pass ends and the other begins.
         assert np.abs(np.diff(pose[:, :2], axis=0)).max() < 0.01
+
+
+def test_a_towed_wheel_slips_by_about_nothing_and_most_have_grousers():
+    with_grousers = []
+    for seed in range(12):
+        motion = catalogue.motion_of(SCENE, f'tow_{seed:04d}')
+        pose = motion.drive.pose(np.arange(motion.frames + 1) / scenes.FRAME_RATE)
+        way, turn = np.abs(np.diff(pose[:, [0, 2]], axis=0)).T
+        rim = motion.drive.body.radius * turn
+        slip = 1.0 - way[40:] / rim[40:]  # on its way
+        assert slip.min() > -0.31 and slip.max() < 0.16
+        with_grousers.append('grousers' in motion.parameters['tool'])
+    assert 6 <= sum(with_grousers) < 12
