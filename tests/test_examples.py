@@ -101,20 +101,16 @@ def test_excavator():
 
 
 @pytest.mark.slow
-def test_excavator_through_its_whole_cycle(tmp_path, monkeypatch):
-    """Both cuts meet soil and leave a trench each, side by side; a film is drawn of it."""
+def test_excavator_through_its_cycle(tmp_path, monkeypatch):
+    """The cut meets soil and leaves a trench; a film is drawn of it."""
     pytest.importorskip('mujoco')
     example, film = _example('excavator'), tmp_path / 'dig.mp4'
     monkeypatch.setattr(sys.modules['film'], 'FPS', 2)
-    ground, _, rows = example.main(str(film))
+    ground, _, rows = example.main(str(film), 11.5)
     time, force, flagged = rows[:, 0], rows[:, 4:7], rows[:, -1]
-    assert time[-1] == pytest.approx(2 * example.PERIOD - 0.4, abs=0.01) and flagged.mean() < 0.05
-    for start in (0.0, example.PERIOD):
-        cut = (time > start + 2.5) & (time < start + 6.0)
-        lifted = (time > start + 8.5) & (time < start + 11.5)
-        assert force[cut, 0].mean() > 50.0 and not force[lifted].any()
-    across = ground.corner[1] + ground.cell[1] * (0.5 + np.where(ground.heights < -0.03)[1])
-    assert across.min() < -0.15 and across.max() > 0.15
+    cut, lifted = (time > 2.5) & (time < 6.0), time > 8.5
+    assert force[cut, 0].mean() > 50.0 and not force[lifted].any() and flagged.mean() < 0.05
+    assert (ground.heights < -0.03).sum() > 100
     assert film.stat().st_size > 10_000
 
 

@@ -31,7 +31,7 @@ NOISE_OF_TOOL = {
         'half_width': 0.1, 'radius': 0.05, 'length': 0.2, 'bucket': 0.2, 'plates': 0.2,
         'stress': 0.1,
     },
-    'wheel': {'lugs': 0.3, 'lug_height': 0.3},
+    'wheel': {'lugs': 0.1, 'lug_height': 0.1},
 }  # fmt: skip
 # The load of a blade is also learned of copies of the runs at other sizes (`Run.resized`), where
 # the scale of the tool stays: few runs have another edge than most. A wheel's scale never does.

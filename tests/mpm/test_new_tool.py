@@ -13,8 +13,10 @@ import types
 
 import pytest
 
+from learning_to_simulate.soil_field import field
 from mpm import batch, bodies, new_tool
 from mpm.simulation import Settings
+from tests.learning_to_simulate.native import worlds
 from tests.mpm import small
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
@@ -106,11 +108,15 @@ def test_from_an_outline_to_c_with_a_kill_in_between(tmp_path):
     tool, out = tmp_path / 'scoop.json', tmp_path / 'out'
     tool.write_text(json.dumps(SCOOP))
     checked, count = bodies.check_tool(SCOOP), 3
+    usual = str(tmp_path / 'usual')  # of few weights, in place of the shipped one
+    os.makedirs(usual)
+    field.save(usual, worlds.soil_field('blade'))
     # Runs of a coarse grid count as made.
     cases = tuple(new_tool.planned(checked, count)[2])
     raw = str(out / 'raw')
     batch.generate(small.BLADE, cases, raw, Settings(), tool=checked)
-    more = (f'--runs={count}', '--num_steps=20', '--num_processes=1', '--formats=c')
+    more = (f'--runs={count}', '--num_steps=20', '--num_processes=1', '--formats=c',
+            f'--initial_weights={usual}')  # fmt: skip
     first = started(tool, out, *more)
     saved = out / 'model' / 'training.npz'
     while not saved.exists():
