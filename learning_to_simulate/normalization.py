@@ -68,7 +68,27 @@ class Arrays:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Statistics(Arrays):
+class Covered(Arrays):
+    """What the training runs covered: least and greatest of the body and of the context.
+
+    Attributes:
+      given_range: of the given coordinates of the rigid particles; None, as the next three, where
+        no motion is given. Of a driven body the up component is that of the shape alone.
+      given_velocity_range: of the displacement of any given particle.
+      body_extent_range: of the extent of the given body in a frame.
+      body_speed_range: of the given body's RMS displacement.
+      context_range: None without a context.
+    """
+
+    given_range: np.ndarray | None = array('2 D', optional=True)
+    given_velocity_range: np.ndarray | None = array('2 D', optional=True)
+    body_extent_range: np.ndarray | None = array('2 D', optional=True)
+    body_speed_range: np.ndarray | None = array('2 1', optional=True)
+    context_range: np.ndarray | None = array('2 C', optional=True)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Statistics(Covered):
     """Statistics by node class: class 0 is the rigid body, class 1 + k is mode k.
 
     K = 1 + r classes, F components of the force. SI units, velocities and accelerations per frame.
@@ -85,12 +105,7 @@ class Statistics(Arrays):
         gravities span decades); None unless all values are positive.
       height_std, height_velocity_std: of the body's height and its change; of a driven body only.
       body_speed: mean RMS displacement of the rigid particles; only where it scales the rate.
-      position_range: lowest and highest position; this and the next are what training covered.
-      given_range: of the given coordinates of the rigid particles; None, as the next three, where
-        no motion is given. Of a driven body the up component is that of the shape alone.
-      given_velocity_range: of the displacement of any given particle.
-      body_extent_range: of the extent of the given body in a frame.
-      body_speed_range: of the given body's RMS displacement.
+      position_range: lowest and highest position.
       path: of `path_memory.PathMemory.of_statistics`; None where the path is no input.
       contact, surface: of `contact.Contact.of_statistics`; None where a body may show its whole
         force everywhere.
@@ -110,11 +125,6 @@ class Statistics(Arrays):
     height_velocity_std: np.ndarray | None = array('1', optional=True)
     body_speed: np.ndarray | None = array('1', optional=True)
     position_range: np.ndarray = array('2 K D')
-    given_range: np.ndarray | None = array('2 D', optional=True)
-    given_velocity_range: np.ndarray | None = array('2 D', optional=True)
-    body_extent_range: np.ndarray | None = array('2 D', optional=True)
-    body_speed_range: np.ndarray | None = array('2 1', optional=True)
-    context_range: np.ndarray | None = array('2 C', optional=True)
     force_mean: np.ndarray | None = array('F', optional=True)
     force_std: np.ndarray | None = array('F', optional=True)
     context_mean: np.ndarray | None = array('C', optional=True)

@@ -14,7 +14,7 @@ import tensorflow as tf
 from scipy.spatial import cKDTree
 
 from learning_to_simulate.axes import speed_of, without_height
-from learning_to_simulate.normalization import Arrays, array, floored, ranges
+from learning_to_simulate.normalization import Covered, array, floored, ranges
 from learning_to_simulate.scene import RigidMotion, Scene
 from learning_to_simulate.subspace import graph_network
 from learning_to_simulate.subspace.learned_simulator import RATE_FLOOR
@@ -23,7 +23,7 @@ NEIGHBOURS = 14  # the radius is the mean distance of the 14th neighbours in the
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class ParticleStatistics(Arrays):
+class ParticleStatistics(Covered):
     """Statistics of the training runs; rows are the rigid particles and the soil.
 
     Attributes:
@@ -32,7 +32,7 @@ class ParticleStatistics(Arrays):
         times `body_speed`. The mean is zero by choice: soil mostly rests.
       height_std: of the acceleration of the body's height, m/frame².
       low, high: box of the soil in the first frames, m: where the walls are.
-      position_range and the other ranges: as of `normalization.Statistics`.
+      position_range: lowest and highest position.
       force_mean, force_std: N, or None.
       context_mean, context_std: or None.
     """
@@ -47,11 +47,6 @@ class ParticleStatistics(Arrays):
     context_mean: np.ndarray | None = array('C', optional=True)
     context_std: np.ndarray | None = array('C', optional=True)
     position_range: np.ndarray = array('2 2 D')
-    given_range: np.ndarray | None = array('2 D', optional=True)
-    given_velocity_range: np.ndarray | None = array('2 D', optional=True)
-    body_extent_range: np.ndarray | None = array('2 D', optional=True)
-    body_speed_range: np.ndarray | None = array('2 1', optional=True)
-    context_range: np.ndarray | None = array('2 C', optional=True)
 
     def check(self, scene: Scene) -> None:
         """Raises ValueError where a value does not fit the scene, is infinite, or divides by 0."""
@@ -253,8 +248,10 @@ class ParticleStep:
         self._newest = history[-1], np.diff(history, axis=0), context
 
     def propose(self, body, displacement, context=None):
-        """As of `TfStep`; of the body [R, D] the displacement says all."""
+        """As of `TfStep`; the displacement of the body [R, D] says all (None: there is no body)."""
         position, velocity, held = self._newest
+        if displacement is None:
+            displacement = np.zeros((0, position.shape[1]))
         context = held if context is None else context
         moved, force, self.edges = self._simulator.step(
             position, velocity, displacement, context, self._n

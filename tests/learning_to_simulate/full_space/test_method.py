@@ -1,5 +1,6 @@
 """The full-space baseline: neighbours, invariance, data, training and rollouts in miniature."""
 
+import dataclasses
 import json
 
 import numpy as np
@@ -15,6 +16,7 @@ from learning_to_simulate.full_space.simulator import (
     neighbour_list,
     typical_radius,
 )
+from learning_to_simulate.live.stepper import Stepper
 from pca_tools import convert, dataset, files
 from tests.learning_to_simulate import models
 from tests.learning_to_simulate import synthetic as modes
@@ -211,7 +213,7 @@ def stepped_like_the_rollout(path, folder):
 
 
 def test_a_path_from_a_bed_at_rest(folders, tmp_path):
-    """A blade with a whole path: it goes where it is told, the soil is drawn and saved."""
+    """A blade with a whole path: it follows its path, the soil is drawn and saved."""
     path = str(tmp_path / 'model')
     registry.train(folders['excavation'][0], path, presets.make_config('full_space', **SHORT))
     model = lts.load(path)
@@ -229,6 +231,25 @@ def test_a_path_from_a_bed_at_rest(folders, tmp_path):
     assert n == model.scene.n_modes and (tmp_path / 'rollout.png').stat().st_size > 5000
     with pytest.raises(ValueError, match='has no C form'):
         model.stepper(engine='c')
+
+
+def test_soil_without_a_body_is_stepped(folders):
+    folder, _ = folders['excavation']
+    metadata, config = dataset.read_metadata(folder), presets.make_config('full_space', **SHORT)
+    whole = read_runs(folder, None, 'train', metadata, 60)
+    group = dataclasses.replace(
+        whole, n_rigid=0, position=whole.position[:, :, whole.n_rigid :],
+        particle_type=whole.particle_type[whole.n_rigid :],
+    ).select(0)  # fmt: skip
+    model = particles.make_model(folder, metadata, group, config, 'none')
+    live = Stepper(model, n_rigid=0, make_step=particles.Step)
+    live.reset(group.position[0, :6])
+    rollout = ParticleEvaluator(model, {}).roll_out(group)
+    for k in range(3):
+        frame = live.step()
+        np.testing.assert_allclose(frame.modes, rollout.position[0, k], atol=1e-12)
+    assert np.abs(frame.modes - group.position[0, 5]).max() > 0
+    assert frame.rigid_pose.shape == (0, 3)
 
 
 def test_training_learns_resumes_and_refuses(folders, tmp_path):
