@@ -3,6 +3,7 @@
 import contextlib
 import dataclasses
 import os
+from unittest import mock
 
 import numpy as np
 import tensorflow as tf
@@ -18,10 +19,21 @@ SMALL = {'latent_size': 16, 'batch_size': 4, 'mode_edges': 5}
 
 @contextlib.contextmanager
 def eagerly():
-    """A few steps take less time than their compilation, which is tested elsewhere."""
+    """A few training steps take less time than a trace of them, which is tested elsewhere. A
+    rollout has many."""
+    roll_out = rollout.RolloutFunction.__call__
+
+    def traced(*arguments):
+        tf.config.run_functions_eagerly(False)
+        try:
+            return roll_out(*arguments)
+        finally:
+            tf.config.run_functions_eagerly(True)
+
     tf.config.run_functions_eagerly(True)
     try:
-        yield
+        with mock.patch.object(rollout.RolloutFunction, '__call__', traced):
+            yield
     finally:
         tf.config.run_functions_eagerly(False)
 
@@ -98,11 +110,10 @@ def steps(model, group, run=0, count=1):
 
 
 def rolled(model, group):
-    """`Rollout` of all runs of a group, eagerly, to save the compilation."""
+    """`Rollout` of all runs of a group."""
     function = rollout.RolloutFunction(model.simulator, model.layout(group.n_rigid))
     function.is_warm = True
-    with eagerly():
-        return rollout.roll_out(function, group)
+    return rollout.roll_out(function, group)
 
 
 def stepper(model, n_rigid, space=None, kind='tensorflow', **options):

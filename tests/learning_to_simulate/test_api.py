@@ -190,8 +190,7 @@ def test_predicted_body_takes_no_pose_and_says_where_it_is(tmp_path):
     folder = synthetic.write_dataset(tmp_path / 'data', motion='predicted')
     synthetic.write_subspace(folder)
     config = lts.preset('pcg_thesis', latent_size=8, num_steps=2, mode_edges=4)
-    with models.eagerly():
-        model = lts.train(config, lts.Dataset(folder), tmp_path / 'model')
+    model = lts.train(config, lts.Dataset(folder), tmp_path / 'model')
     live = model.stepper()
     live.start(velocity=(2e-2, 0, 0))
     frame = live.step()
@@ -245,9 +244,8 @@ def test_trained_model_is_self_contained(tmp_path):
         'pcg', latent_size=8, num_steps=2, unroll_steps=0, mode_edges=4, rigid_particles=3
     )
     path = str(tmp_path / 'model')
-    with models.eagerly():
-        model = lts.train(config, lts.Dataset(folder), tmp_path / 'model')
-        assert 'soil within the subspace' in str(model.evaluate(lts.Dataset(folder).test))
+    model = lts.train(config, lts.Dataset(folder), tmp_path / 'model')
+    assert 'soil within the subspace' in str(model.evaluate(lts.Dataset(folder).test))
     shutil.rmtree(folder)
     starts = model.starts
     # Plates of one shape: the same body, wherever it stands; beds do not differ either.

@@ -2,11 +2,13 @@
 `tests/stiff/test_rigid_fit.py` holds against other fits."""
 
 import numpy as np
+import pytest
 
 from learning_to_simulate import rollout
 from tests.learning_to_simulate import models
 
 
+@pytest.mark.xla
 def test_compiled_loop_equals_steps_one_by_one(tmp_path):
     """All runs as a batch; that a single step is right, a twin says."""
     model, (group,), _ = models.make(tmp_path, motion='driven', context='changing')
@@ -21,6 +23,7 @@ def test_compiled_loop_equals_steps_one_by_one(tmp_path):
         np.testing.assert_allclose(result.force[run], force, atol=3e-4 * np.abs(force).max())
 
 
+@pytest.mark.xla
 def test_predicted_body_stays_rigid(tmp_path):
     model, (group,), _ = models.make(
         tmp_path, preset='pcg_thesis', motion='predicted', rigid_counts=(6,)

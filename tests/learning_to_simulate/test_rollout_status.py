@@ -141,8 +141,7 @@ def test_status_reaches_metrics_table_and_rollout_files(made, tmp_path):
     model, (group,), metadata = made
     evaluator = evaluation.Evaluator(model, metadata)
     outside = changed(made, context=add((0, 1), 60.0))
-    with models.eagerly():
-        results, summary = evaluator.run([outside], 'test')
+    results, summary = evaluator.run([outside], 'test')
     evaluation.save_rollouts(str(tmp_path), 'test', results, summary, metadata)
     row = json.loads((tmp_path / 'metrics.json').read_text())['runs']['model'][0]
     arrays = files.read_npz(str(tmp_path / 'rollout_test_0.npz'))
@@ -163,12 +162,11 @@ def test_force_above_its_limit_is_told_by_live_steps_and_evaluation(tmp_path):
     files.write_json(f'{path}/config.json', config)
     opened = registry.open_model(path, data, 'train')
     one = opened.groups[0].select(0)
-    with models.eagerly():
-        (found,) = opened.evaluator.roll_out(one).judgements
-        stepper = Stepper(opened.model, starts.read(path)[0])
-        stepper.reset(one.position[0, :H])
-        for pose in one.position[0, H:, : one.n_rigid]:
-            frame = stepper.step(pose)
+    (found,) = opened.evaluator.roll_out(one).judgements
+    stepper = Stepper(opened.model, starts.read(path)[0])
+    stepper.reset(one.position[0, :H])
+    for pose in one.position[0, H:, : one.n_rigid]:
+        frame = stepper.step(pose)
     assert found.status is RolloutStatus.LEFT_BOUNDS
     assert 'N is above 2 x the largest of training (80 N)' in found.reason
     assert frame.judgement == found

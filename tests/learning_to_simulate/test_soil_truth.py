@@ -77,8 +77,7 @@ def test_every_printout_has_the_same_number(tmp_path, sampled):
         synthetic.write_particles(data)
     groups = reading_utils.read_groups(data, 'test', metadata)
     evaluator = evaluation.Evaluator(model, metadata)
-    with models.eagerly():
-        results, summary = evaluator.run(groups, 'test')
+    results, summary = evaluator.run(groups, 'test')
     out = str(tmp_path / 'out')
     evaluation.save_rollouts(out, 'test', results, summary, metadata, 64 * 'a')
     numbers = [row['soil_mm'] for row in summary['runs']['model']]

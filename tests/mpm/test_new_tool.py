@@ -18,6 +18,7 @@ from mpm import batch, bodies, new_tool
 from mpm.simulation import Settings
 from tests.learning_to_simulate.native import worlds
 from tests.mpm import small
+from tests.pca_tools.commands import call_command
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 SCOOP = {
@@ -104,7 +105,7 @@ def test_the_last_line(tmp_path):
 
 
 @pytest.mark.slow
-def test_from_an_outline_to_c_with_a_kill_in_between(tmp_path):
+def test_from_an_outline_to_c_with_a_kill_in_between(tmp_path, monkeypatch, capsys):
     tool, out = tmp_path / 'scoop.json', tmp_path / 'out'
     tool.write_text(json.dumps(SCOOP))
     checked, count = bodies.check_tool(SCOOP), 3
@@ -115,20 +116,28 @@ def test_from_an_outline_to_c_with_a_kill_in_between(tmp_path):
     cases = tuple(new_tool.planned(checked, count)[2])
     raw = str(out / 'raw')
     batch.generate(small.BLADE, cases, raw, Settings(), tool=checked)
-    more = (f'--runs={count}', '--num_steps=20', '--num_processes=1', '--formats=c',
-            f'--initial_weights={usual}')  # fmt: skip
-    first = started(tool, out, *more)
-    saved = out / 'model' / 'training.npz'
-    while not saved.exists():
+    first = started(tool, out, f'--runs={count}', '--num_steps=20', f'--initial_weights={usual}')
+    while not (out / 'model').exists():  # it trains
         assert first.poll() is None, first.communicate()
         time.sleep(0.1)
     os.kill(first.pid, signal.SIGKILL)
-    first.communicate()
-    time.sleep(1.0)
-    second = started(tool, out, *more)
-    printed, error = second.communicate()
-    assert second.returncode == 0, error
-    assert 'goes on at step' in printed and '2 of 5' not in printed
-    last = printed.strip().splitlines()[-1]
+    assert '2 of 5' in first.communicate()[0]
+    steps = []
+
+    def do(self, step, module, *arguments):
+        """The command, in this process."""
+        done = call_command(module, *arguments)
+        assert done.returncode == 0, done.stderr
+        steps.append(step)
+
+    monkeypatch.setattr(new_tool.Work, 'do', do)
+    asked = {
+        'runs': count, 'kept': None, 'initial_weights': usual, 'num_steps': 20, 'formats': ['c'],
+        'learning_rate': 1e-3, 'num_processes': 1, 'cluster': '', 'output_path': str(out),
+    }  # fmt: skip
+    new_tool.main(types.SimpleNamespace(**asked), [str(tool)])
+    judged = [f'4 of 5, runs kept back, {name}' for name in ('judged', 'judged_as_it_is')]
+    assert steps == ['1 of 5, runs of the solver', '3 of 5, training', *judged, '5 of 5, c']
+    last = capsys.readouterr().out.strip().splitlines()[-1]
     assert re.match('(soil|shipped model as it is, soil) .* on 1 runs kept back; ', last)
     assert (out / 'c' / 'export.json').exists() and not (out / 'fmu').exists()

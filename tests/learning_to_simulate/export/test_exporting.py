@@ -40,6 +40,7 @@ np.savez(sys.argv[4], position=position, forces=forces, particles=particles)
 """
 
 
+@pytest.mark.xla
 def test_saved_model_rolls_out_without_the_project(tmp_path):
     model_path, data = models.saved(tmp_path, motion='driven', context='changing')
     out = str(tmp_path / 'exported')

@@ -59,7 +59,6 @@ BY_C = 'without a graph', 'no force', 'driven, two steps'
 
 @pytest.mark.parametrize('case', CASES)
 def test_equals_the_rollout_frame_by_frame(tmp_path, case):
-    """The rollout runs eagerly, to save its compilation: the function is the same."""
     model, (group, *_), _ = models.make(tmp_path, **CASES[case])
     n, known = group.n_rigid, model.simulator.scene.rigid_motion.is_known
     expected = models.rolled(model, group.select(0))
@@ -87,6 +86,7 @@ def test_equals_the_rollout_frame_by_frame(tmp_path, case):
         assert 'TensorFlow (the model has inputs' in models.stepper(model, n, kind='best').engine
 
 
+@pytest.mark.xla
 @pytest.mark.parametrize('kind', KINDS)
 def test_a_thousand_steps_trace_nothing_and_keep_no_memory(made, steppers, kind):
     stepper, group = steppers(kind), made[1]

@@ -11,7 +11,7 @@ from tests.learning_to_simulate.native import worlds
 
 pytestmark = worlds.needs_c
 HERE = os.path.dirname(os.path.abspath(__file__))
-CALLS = 50_000
+CALLS = 30_000
 CASES = {
     'driven': {'motion': 'driven', 'context': True, 'overrides': {'message_passing_steps': 2}},
     'predicted': {'motion': 'predicted', 'preset': 'pcg_thesis', 'rigid_counts': (6,)},

@@ -130,7 +130,7 @@ def test_sources_alone_build_the_binary(soils, tmp_path):
     sources = [str(tmp_path / 'sources' / name) for name in listed]
     built = str(tmp_path / 'again.so')
     subprocess.run(
-        [*library.compiler(), '-O1', '-fPIC', '-shared', f'-I{tmp_path}/sources', *sources,
+        [*library.compiler(), '-O0', '-fPIC', '-shared', f'-I{tmp_path}/sources', *sources,
          '-o', built, '-lm'], check=True,
     )  # fmt: skip
     symbols = subprocess.run(['nm', '-D', built], capture_output=True, text=True).stdout

@@ -72,7 +72,8 @@ def test_cmake_builds_installs_and_is_found(small, tmp_path):
     folder = worlds.written(tmp_path / 'project', 'lts_small', small)
     build, prefix, user = (tmp_path / name for name in ('build', 'installed', 'user'))
     strict = '-Wall -Wextra -Wconversion -Wno-sign-conversion -pedantic -Werror'
-    flags = [f'-DCMAKE_C_FLAGS={strict}', f'-DCMAKE_CXX_FLAGS={strict}']
+    flags = [f'-DCMAKE_{of}={strict}' for of in ('C_FLAGS', 'CXX_FLAGS')]
+    flags += ['-DCMAKE_C_FLAGS_RELEASE=-O0']
     _run(['cmake', '-S', folder, '-B', build, *flags])
     _run(['cmake', '--build', build])
     assert _run([build / 'example', '30']).count('force') == 3

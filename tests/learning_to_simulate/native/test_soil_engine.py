@@ -147,7 +147,7 @@ def test_frames_as_the_networks_see_them_and_what_these_say():
 @pytest.mark.parametrize('tool', TOOLS.values(), ids=TOOLS)
 def test_a_long_way_there_and_back(tool, ground):
     yaw = 0.7
-    way = path(110, 1.5)
+    way = path(70, 1.5)
     way = np.concatenate([way, way[::-1]])
     way[:, 1] += tool.radius
     way[:, 2] *= np.linspace(1.0, -20.0, len(way)) if tool is WHEEL else 1.0
@@ -179,15 +179,15 @@ def test_even_ground_that_ends_takes_all_strips():
 def test_several_tools_on_one_terrain_each_meet_what_the_others_left():
     """Two side by side and one across, in turn: as in Python, also where one of them is in it."""
     ways = [
-        poses(path(70, 0.9)), poses(path(70, 0.9), shift=(0.0, 0.0, 0.28)),
-        poses(path(70, 1.0), yaw=1.4, shift=(-0.3, 0.0, 0.5)),
+        poses(path(50, 0.9)), poses(path(50, 0.9), shift=(0.0, 0.0, 0.28)),
+        poses(path(50, 1.0), yaw=1.4, shift=(-0.3, 0.0, 0.5)),
     ]  # fmt: skip
     results = []
     for kinds in (('c', 'tensorflow', 'c'), ('tensorflow',) * 3):
         terrain = hills(size=(2.4, 2.4))
         tools = [SoilStepper(field(), terrain, BLADE, engine=kind) for kind in kinds]
         frames = [[tool.start(way[0]) for tool, way in zip(tools, ways, strict=True)]]
-        for t in range(1, 70):
+        for t in range(1, 50):
             frames.append([tool.step(way[t], DT) for tool, way in zip(tools, ways, strict=True)])
         heights = terrain.heights.copy()
         np.testing.assert_array_equal(terrain.heights, heights)  # looking changes nothing
@@ -204,7 +204,7 @@ def test_other_soils_sizes_members_and_walls():
         terrain = Terrain(hills().heights[::2] * s, [0.04 * s, 0.02 * s], [-1.1 * s, -0.6 * s],
                           soil, walled=True)  # fmt: skip
         pair = both(terrain, tool, members=2)
-        way = path(40, 0.5) * [s, s, 1.0]
+        way = path(25, 0.5) * [s, s, 1.0]
         way[:, 1] += tool.radius
         drive(pair, way, dt=0.1)
         assert_ground(*pair)
@@ -425,7 +425,7 @@ def test_a_proposal_renews_no_passage():
 def test_a_tool_that_is_clear_of_its_heap_is_in_the_air(tool, ground):
     pair = both(ground(), tool)
     (_, last), ends, kappa = drive(pair, path(30, 0.3)), [], 0.0
-    for height in np.linspace(last.pose[1], 0.02 + 1.6 * tool.radius + 0.13, 25):
+    for height in np.linspace(last.pose[1], 0.02 + 1.6 * tool.radius + 0.13, 15):
         pose = np.array(last.pose)
         pose[1] = height
         frames = step(pair, pose)
@@ -476,7 +476,7 @@ def test_all_numbers_that_are_judged_flag_word_for_word(tool):
     found = [name for name in field(tool.name).judged_names if name not in CONDITIONS]
     for name in found:
         pair = both(hills(), tool, ranged(tool.name, **{name: [50.0, 60.0]}))
-        frame, _ = drive(pair, path(20, 0.2))
+        frame, _ = drive(pair, path(10, 0.2))
         assert frame.reason.startswith(f'{name} ') and frame.status == 'extrapolating'
     assert {'lean', 'carried', 'half_width', 'bed_low', 'uneven', 'along', 'backed'} < set(found)
 
