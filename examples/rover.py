@@ -78,10 +78,10 @@ def main(film=None, picture=None, seconds: float = PLAN[-1][0], model='wheel/soi
         d.ctrl[:] = way * RIM_SPEED / RADIUS
         d.qfrc_applied[0] = pull  # towards +X, against the way
         frames = soil.step()
-        rim, speed = RADIUS * d.qvel[3:].mean(), -d.qvel[0]
+        rim, speed = RADIUS * sum(d.qvel[3:].tolist()) / len(NAMES), -d.qvel[0]
         slip = 1 - speed / rim if rim > 0.02 else np.nan
         drawbar = -sum(frame.force[0] for frame in frames.values())
-        sinkage = np.mean([RADIUS - frame.pose[1] for frame in frames.values()])
+        sinkage = RADIUS - sum(frame.pose[1] for frame in frames.values()) / len(NAMES)
         flagged = any(frame.now.status != 'ok' for frame in frames.values())
         rows.append([d.time, d.qpos[0], slip, drawbar, pull, sinkage, flagged])
         shots.look()

@@ -19,7 +19,6 @@ it is pressed down by the load of w_0 less M a, with a its acceleration up under
 """
 
 import contextlib
-import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -35,9 +34,13 @@ from learning_to_simulate.soil_field.stepper import DT, SoilStepper
 from learning_to_simulate.soil_field.terrain import Terrain
 
 TO_Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+# The same of rows of numbers, in a third of the time: wrenches to Z up, poses from it.
+_WRENCH = np.array([0, 2, 1, 3, 5, 4]), np.array([1.0, -1.0, 1.0, 1.0, -1.0, 1.0])
+_POSE = np.array([0, 2, 1, 3, 4, 6, 5]), np.array([1.0, 1.0, -1.0, 1.0, 1.0, 1.0, -1.0])
 # Of (1): tolerance and reach of differences, m (a turn counts as 0.1 m times its angle); rounds.
 TOLERANCE, REACH, ROUNDS = 2e-7, 1e-4, 12
 EAGER = 3  # rounds after which a hundred times the tolerance will do
+PRESSED = DT / 4  # s for which what presses on a tool is taken to stay
 ARM = np.array([1.0, 1.0, 0.1])
 _CROSS = np.cross(np.eye(3)[:, None], np.eye(3)).transpose(2, 0, 1)  # a x b, in a fifth of the time
 # m between a tool and all soil about it, from where it may move as fast as it likes.
@@ -46,6 +49,7 @@ CLEAR = 0.1
 ROOM = 1.0
 FIELD = 'soil'  # name of the height field
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
+_SLOW = np.repeat([FASTEST / 3**0.5, FASTEST_TURN / 4], [3, 4])  # of the parts of a pose
 
 
 def add_height_field(spec: mujoco.MjSpec, terrain: Terrain) -> None:
@@ -120,6 +124,7 @@ class MujocoSoil:
         self._check_time()
         self._spots = [self._spot(name) for name in self._names]
         self._bodies = [body for _, _, body in self._spots]
+        self._share_bodies = len(set(self._bodies)) < len(self._bodies)
         self._scale = np.tile(ARM, len(tools))
         self._radii = np.array([stepper.tool.radius for stepper in self._steppers])
         self.frames: dict[str, SoilFrame] = {}
@@ -127,7 +132,7 @@ class MujocoSoil:
         self.rounds, self.gap = 0, 0.0
         self._loads = np.zeros((len(tools), 6))  # about the places of the tools, axes of lts
         self._slopes: list[Any] = [None] * len(tools)
-        self._damping = [Damping() for _ in tools]
+        self._damping, self._waited = [Damping() for _ in tools], np.inf
 
     def _check_time(self):
         if not 0 < self._model.opt.timestep <= DT * (1 + 1e-6):
@@ -156,8 +161,7 @@ class MujocoSoil:
                 mujoco.mju_mat2Quat(row[3:], d.site_xmat[number])
             else:
                 row[:3], row[3:] = d.xpos[number], d.xquat[number]
-        found[:, :3], found[:, 4:] = found[:, :3] @ TO_Z_UP, found[:, 4:] @ TO_Z_UP
-        return found
+        return found[:, _POSE[0]] * _POSE[1]
 
     def start(self) -> dict[str, SoilFrame]:
         """Sets the tools down where they are in `data`; loads of an earlier run leave it.
@@ -168,7 +172,7 @@ class MujocoSoil:
         self._apply(np.zeros_like(self.wrenches))
         mujoco.mj_forward(self._model, self._data)
         self._slopes = [None] * len(self._names)
-        self._damping = [Damping() for _ in self._names]
+        self._damping, self._waited = [Damping() for _ in self._names], np.inf
         found = {}
         for name, stepper, pose in zip(self._names, self._steppers, self._poses(), strict=True):
             with _naming(name):
@@ -225,7 +229,9 @@ class MujocoSoil:
             rate = (pose[1] - stepper.frame.pose[1]) / dt
             frame = stepper.start(pose) if flies else stepper.step(pose, dt)
             self._damping[j].go_on(frame.force[1], rate, dt)
-            self.frames[name] = frame._replace(force=frame.force + damped[j] * UP)
+            if damped[j]:
+                frame = frame._replace(force=frame.force + damped[j] * UP)
+            self.frames[name] = frame
         self._loads = loads if self._implicit else np.stack([*map(_load, self.frames.values())])
         return self.frames
 
@@ -239,20 +245,21 @@ class MujocoSoil:
 
     def _apply(self, wrenches):
         """Puts loads in the place of those of the step before; the user's own stay."""
-        rows = self._data.xfrc_applied
-        for body, before, now in zip(self._bodies, self.wrenches, wrenches, strict=True):
-            rows[body] += now - before  # several tools may share a body
+        rows, change = self._data.xfrc_applied, wrenches - self.wrenches
+        if self._share_bodies:
+            np.add.at(rows, self._bodies, change)
+        else:
+            rows[self._bodies] += change
         self.wrenches = wrenches
 
     def _fly(self, poses, dt):
         """Which of the tools [n] go farther than a step allows, in the air; ValueError where one
         does so in soil."""
         last = np.array([stepper.frame.pose for stepper in self._steppers])
-        ways = np.sqrt(np.square(poses[:, :3] - last[:, :3]).sum(axis=1))
-        # Of unit quaternions: their distance is the half angle for small turns.
-        turns = np.sqrt(2.0 - 2.0 * np.minimum(np.abs((poses[:, 3:] * last[:, 3:]).sum(axis=1)), 1))
-        slow = np.maximum(ways / FASTEST, 2.0 * turns / FASTEST_TURN) < 0.9 * dt
-        if slow.all() and (poses[:, 1] - self._radii > self.terrain.floor).all():
+        # The way is at most sqrt(3) times its largest part, the angle 4 times that of unit
+        # quaternions.
+        is_slow = (np.abs(poses - last) < 0.9 * dt * _SLOW).all()
+        if is_slow and (poses[:, 1] - self._radii > self.terrain.floor).all():
             return [False] * len(poses)  # as `refuse_step` says of each, in ten times as long
         tools = zip(self._names, self._steppers, poses, strict=True)
         return [self._flies(*tool, dt) for tool in tools]
@@ -298,13 +305,15 @@ class MujocoSoil:
         answer = np.zeros((6 * n, m.nv))
         mujoco.mj_solveM(m, d, answer, whole.reshape(6 * n, m.nv))
         give = dt * dt * inner.reshape(3 * n, m.nv) @ answer.T
-        self._press(whole[:, 1], answer[1::6])
+        if self._waited >= PRESSED:
+            self._press(whole[:, 1], answer[1::6])
+            self._waited = 0.0
+        self._waited += dt
         mujoco.mj_kinematics(m, d)
         far = max(1.0, DT / dt)
-        last = [stepper.frame.pose for stepper in self._steppers]
+        last = np.array([stepper.frame.pose for stepper in self._steppers])
         reached = self._poses()
-        poses = [_ahead(*two, far) for two in zip(last, reached, strict=True)]
-        rises = [float(b[1] - a[1]) for a, b in zip(last, reached, strict=True)]
+        poses, rises = _ahead(last, reached, far), (reached - last)[:, 1].tolist()
         mujoco.mj_setState(m, d, state, _STATE)
         self.wrenches = wrenches  # as `data` has them again
 
@@ -408,13 +417,13 @@ class MujocoSoil:
     def _proposed(self, j, pose):
         """Load [6] of a tool that would go to a pose."""
         stepper = self._steppers[j]
-        with _naming(self._names[j]):
-            try:
-                return stepper.load(pose, DT)
-            except ValueError:
+        try:
+            return stepper.load(pose, DT)
+        except ValueError:
+            with _naming(self._names[j]):
                 if not self._is_clear(stepper, pose):
                     raise
-                return np.zeros(6)
+            return np.zeros(6)
 
     def _differences(self, j, pose, axes, load):
         """[6, 3] of loads by along, up and lean, N/m and so on."""
@@ -459,7 +468,7 @@ def _load(frame):
 
 def _about_centres(loads, levers):
     """Loads [n, 6] about the tools as wrenches about centres of mass, Z up."""
-    found = np.concatenate([loads[:, :3] @ TO_Z_UP.T, loads[:, 3:] @ TO_Z_UP.T], axis=1)
+    found = loads[:, _WRENCH[0]] * _WRENCH[1]
     found[:, 3:] += np.einsum('ijk,nj,nk->ni', _CROSS, levers, found[:, :3])
     return found
 
@@ -474,21 +483,15 @@ def _moved(pose, axes, s):
     return found
 
 
-def _ahead(last, pose, far):
-    """Where a tool that goes from one pose to another will be after so many times the way."""
+def _ahead(last, poses, far):
+    """Where tools that go from poses [n, 7] to others will be after so many times the way."""
     if far == 1.0:
-        return pose
-    w, x, y, z = last[3:].tolist()  # numbers: arrays take five times as long
-    quaternion = a, b, c, d = pose[3:].tolist()
-    # Turns within a step are small: twice the sine of the half angle is the angle.
-    share = 2.0 * (far - 1.0) * math.copysign(1.0, w * a + x * b + y * c + z * d)
-    turn = (
-        share * (w * b - x * a + y * d - z * c), share * (w * c - y * a + z * b - x * d),
-        share * (w * d - z * a + x * c - y * b),
-    )  # fmt: skip
-    found = np.empty(7)
-    found[:3] = pose[:3] + (far - 1.0) * (pose[:3] - last[:3])
-    found[3:] = turned(quaternion, turn)
+        return poses
+    way = poses - last
+    way[:, 3:] = poses[:, 3:] - np.sign((last[:, 3:] * poses[:, 3:]).sum(1))[:, None] * last[:, 3:]
+    found = poses + (far - 1.0) * way
+    # Turns within a step are small: a chord is as long as its arc.
+    found[:, 3:] /= np.sqrt((found[:, 3:] ** 2).sum(axis=1))[:, None]
     return found
 
 

@@ -242,6 +242,8 @@ def test_the_way_goes_on_and_the_turn_too():
     """Against scipy: four times a rotation vector."""
     first, vector = Rotation.random(random_state=1), np.array([0.01, -0.02, 0.015])
     poses = [np.roll((Rotation.from_rotvec(k * vector) * first).as_quat(), 1) for k in range(5)]
-    found = _ahead(np.append(np.zeros(3), poses[0]), np.append([1.0, 0, 0], -poses[1]), 4.0)
-    np.testing.assert_allclose(found[:3], [4.0, 0, 0])
-    assert abs(found[3:] @ poses[4]) == pytest.approx(1.0, abs=1e-8)
+    first, second = (np.append([x, 0.0, 0.0], sign * pose) for x, sign, pose in
+                     ((0.0, 1, poses[0]), (1.0, -1, poses[1])))  # fmt: skip
+    for found in _ahead(np.array([first, first]), np.array([second, second]), 4.0):
+        np.testing.assert_allclose(found[:3], [4.0, 0, 0])
+        assert abs(found[3:] @ poses[4]) == pytest.approx(1.0, abs=1e-8)
