@@ -217,8 +217,8 @@ def test_springs_are_found_without_labels():
     )
     settings = {'window': 40, 'segment': 8, 'batch_size': 64, 'learning_rate': 2e-3}
     trainer = Trainer(small.model(held, hidden=32, **settings), held)
-    for i in range(450):
+    for i in range(300):
         trainer.step(i)
     with models.eagerly():
-        # Measured 0.949; 0.916 after 300 steps.
+        # Measured 0.916; 0.949 after 450 steps.
         assert trainer.evaluate(new)['accuracy'] > 0.85

@@ -94,7 +94,7 @@ def write_dataset(folder, seeds, changed=lambda values: values) -> str:
     return data
 
 
-CONFIG = SoilFieldConfig('soil_field', members=2, num_steps=250)
+CONFIG = SoilFieldConfig('soil_field', members=2, num_steps=150)
 
 
 @functools.cache
