@@ -105,7 +105,7 @@ def test_excavator_through_its_cycle(tmp_path, monkeypatch):
     """The cut meets soil and leaves a trench; a film is drawn of it."""
     pytest.importorskip('mujoco')
     example, film = _example('excavator'), tmp_path / 'dig.mp4'
-    monkeypatch.setattr(sys.modules['film'], 'FPS', 2)
+    monkeypatch.setattr(sys.modules['film'], 'FPS', 1)
     ground, _, rows = example.main(str(film), 11.5)
     time, force, flagged = rows[:, 0], rows[:, 4:7], rows[:, -1]
     cut, lifted = (time > 2.5) & (time < 6.0), time > 8.5

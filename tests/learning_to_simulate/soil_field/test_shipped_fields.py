@@ -314,15 +314,14 @@ def test_ground_that_is_hardly_rougher_than_taught_is_known(taught, fine, rough)
     assert status[rough][0] == {'extrapolating'} and 'bed_' in status[rough][1], status
 
 
-@pytest.mark.parametrize('engine', ['c', 'tensorflow'])
 @pytest.mark.parametrize('place', [0.0, 0.003, 0.007])
-def test_a_wheel_half_in_a_rut_is_flagged_and_one_in_its_middle_is_not(place, engine):
+def test_a_wheel_half_in_a_rut_is_flagged_and_one_in_its_middle_is_not(place):
     """It has one strip and sees the mean across; wherever the rut lies among the cells."""
     path = poses(way('wheel', 80))
     path[:, 2] += place
 
     def goes(beside):
-        tool = model('wheel').stepper(ground(), TOOLS['wheel'], engine=engine)
+        tool = model('wheel').stepper(ground(), TOOLS['wheel'])
         status = []
         for shift in (0.0, 0.0, beside):
             for height in (0.1, 0.0):  # from above
@@ -350,20 +349,19 @@ def test_a_slope_across_a_wheel_is_flagged(fall, is_known):
     assert is_known or tool.frame.now.reason.startswith(f'crossfall {fall * 0.1:.3g} is outside')
 
 
-@pytest.mark.parametrize('engine', ['c', 'tensorflow'])
 @pytest.mark.parametrize('name', TOOLS)
 @pytest.mark.parametrize('slope, laid', [(0.02, True), (0.1, True), (-0.26, True), (0.3, False)])
-def test_a_slope_along_the_way_is_seen_as_level_or_flagged(slope, laid, name, engine):
+def test_a_slope_along_the_way_is_seen_as_level_or_flagged(slope, laid, name):
     """Up to STEEP loads are those of level ground, turned; the way goes to -x."""
     path = way(name, 40)
-    flat = model(name).stepper(ground(), TOOLS[name], engine=engine)
+    flat = model(name).stepper(ground(), TOOLS[name])
     level = go(flat, poses(path), 0.1)
     soil = ground()
     soil.heights[:] = before = 5.0 - slope * soil.middles[0][:, None] + 0 * soil.heights
     angle = np.arctan(slope)
     c, s = np.cos(angle), np.sin(angle)
     u, y, lean = path.T
-    tool = model(name).stepper(soil, TOOLS[name], engine=engine)
+    tool = model(name).stepper(soil, TOOLS[name])
     path = np.stack([c * u - s * y, 5.0 + s * u + c * y, lean + angle], axis=1)
     found = go(tool, poses(path), 0.1)
     assert (tool.frame.now.status == 'ok') == laid
@@ -413,7 +411,6 @@ def test_a_wheel_goes_from_level_ground_onto_a_slope_and_back():
     assert on @ [s, c, 0.0] == pytest.approx(off[1], rel=0.05)
 
 
-@pytest.mark.parametrize('engine', ['c', 'tensorflow'])
 @pytest.mark.parametrize(
     'blade, lean, flag',
     [
@@ -424,23 +421,22 @@ def test_a_wheel_goes_from_level_ground_onto_a_slope_and_back():
         (lts.Blade(0.4, bucket=1.0), -0.3, 'edge'),
     ],
 )  # fmt: skip
-def test_leans_and_edges_that_no_taught_blade_has_are_flagged(blade, lean, flag, engine):
+def test_leans_and_edges_that_no_taught_blade_has_are_flagged(blade, lean, flag):
     """All plates that were taught lean back, all buckets forward; no edge lies between theirs."""
     path = way('excavation', 40)
     path[:, 1:] += blade.radius - TOOLS['excavation'].radius, lean - path[0, 2]
-    tool = model('excavation').stepper(ground(), blade, engine=engine)
+    tool = model('excavation').stepper(ground(), blade)
     frames = frames_of(tool, poses(path), 0.1)
     assert frames[-1].force.any() and frames[-1].now.reason.split(' ')[0] == flag
     assert frames[0].reason.startswith('edge ') == (flag == 'edge')  # in the air too
 
 
-@pytest.mark.parametrize('engine', ['c', 'tensorflow'])
 @pytest.mark.parametrize('name, dt, turn', [('excavation', 0.1, 0.6), ('wheel', 0.2, -1.6)])
-def test_a_blade_that_turns_and_a_wheel_that_spins_on_the_spot_are_flagged(name, dt, turn, engine):
+def test_a_blade_that_turns_and_a_wheel_that_spins_on_the_spot_are_flagged(name, dt, turn):
     path = way(name, 80)[:70]
     spot = np.repeat(path[-1:], 40, axis=0)
     spot[:, 2] += np.linspace(0.0, turn, 40)
-    tool = model(name).stepper(ground(), TOOLS[name], engine=engine)
+    tool = model(name).stepper(ground(), TOOLS[name])
     go(tool, poses(path), dt)
     assert tool.frame.now.status == 'ok'
     frames = [tool.step(pose, dt) for pose in poses(spot[1:])]
