@@ -102,7 +102,7 @@ def test_killed_training_resumes_to_the_same_weights(tmp_path):
     process.send_signal(signal.SIGKILL)
     process.communicate()
     assert not (path / 'ckpt-400.npz').exists()
-    done = subprocess.run(command(*args), cwd=ROOT, capture_output=True, text=True)
+    done = call_command('learning_to_simulate.train', *args)
     assert done.returncode == 0 and 'resumed' in done.stdout, done.stderr
     registry.train(data, straight, presets.make_config('mlp', **settings), save_every=400)
     for name, value in weights(straight).items():
