@@ -1,5 +1,6 @@
 """What the documents show runs as it is written."""
 
+import functools
 import importlib
 import json
 import pathlib
@@ -12,7 +13,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import learning_to_simulate as lts
-from learning_to_simulate import api
+from learning_to_simulate import api, render_rollout
 from learning_to_simulate.soil_field import evaluation
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
@@ -42,13 +43,16 @@ def test_ten_trenches_keep_their_volume(tmp_path, capsys):
 
 
 def test_lines_of_the_python_page(tmp_path, monkeypatch):
-    """As written, but for the length of the training and the number of judged runs."""
+    """As written, but for the length of the training and the numbers of judged runs and of frames
+    in the film."""
     pytest.importorskip('matplotlib')
     monkeypatch.chdir(tmp_path)
     preset, judge = api.preset, evaluation.SoilEvaluator.run
     monkeypatch.setattr(
         evaluation.SoilEvaluator, 'run', lambda self, runs, *more: judge(self, runs[:3], *more)
     )
+    few = functools.partial(render_rollout.draw_terrain, step_stride=40)
+    monkeypatch.setattr(render_rollout, 'draw_terrain', few)
     short = {'num_steps': 2, 'unroll_steps': 0}
     monkeypatch.setattr(api, 'preset', lambda name, **fields: preset(name, **fields | short))
     assert lts.preset('pcg').num_steps == 2
