@@ -34,9 +34,11 @@ from learning_to_simulate.soil_field.stepper import DT, SoilStepper
 from learning_to_simulate.soil_field.terrain import Terrain
 
 TO_Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
-# The same of rows of numbers, in a third of the time: wrenches to Z up, poses from it.
-_WRENCH = np.array([0, 2, 1, 3, 5, 4]), np.array([1.0, -1.0, 1.0, 1.0, -1.0, 1.0])
-_POSE = np.array([0, 2, 1, 3, 4, 6, 5]), np.array([1.0, 1.0, -1.0, 1.0, 1.0, 1.0, -1.0])
+# It has one number a row: rows of numbers are turned by picking columns, in a third of the time.
+_TO, _TO_SIGN = np.abs(TO_Z_UP).argmax(axis=1), TO_Z_UP.sum(axis=1)
+_FROM, _FROM_SIGN = np.abs(TO_Z_UP.T).argmax(axis=1), TO_Z_UP.T.sum(axis=1)
+_WRENCH = np.append(_TO, 3 + _TO), np.tile(_TO_SIGN, 2)  # force and torque, to Z up
+_POSE = np.r_[_FROM, 3, 4 + _FROM], np.r_[_FROM_SIGN, 1.0, _FROM_SIGN]  # place and turn, from it
 # Of (1): tolerance and reach of differences, m (a turn counts as 0.1 m times its angle); rounds.
 TOLERANCE, REACH, ROUNDS = 2e-7, 1e-4, 12
 EAGER = 3  # rounds after which a hundred times the tolerance will do

@@ -20,6 +20,7 @@ WHOLE = ('excavation/mlp_driven', 'excavation/pcg', 'wheel/pcg')
 OF_GRID = ('excavation/fcg_original', 'excavation/pcg_thesis')
 
 
+@pytest.mark.xla
 @pytest.mark.parametrize('scene', PROMISED)
 def test_graph_network_keeps_its_promise(scene):
     """Rolled out here and now, and equal to the table that ships beside the weights."""

@@ -192,6 +192,23 @@ def test_tools_share_a_terrain(blade):
     assert terrain.heights.min() < 0.249
 
 
+def test_loads_of_tools_on_one_body_add_up(blade):
+    sites = ''.join(f'<site name="s{i}" pos="0 {-i} 0"/>' for i in (0, 1))
+    m = mujoco.MjModel.from_xml_string(
+        f'<mujoco><worldbody><body pos="3 -1.3 0.27">{UP}{sites}'
+        f'<inertial pos="0 -0.5 0.1" mass="60" diaginertia="1 1 1"/></body></worldbody></mujoco>'
+    )
+    m.opt.timestep, d, terrain = 0.01, mujoco.MjData(m), flat()
+    tools = {f's{i}': blade.stepper(terrain, lts.Blade(width=0.4)) for i in (0, 1)}
+    soil = MujocoSoil(m, d, tools)
+    soil.start()
+    for _ in range(100):
+        soil.step()
+    np.testing.assert_allclose(d.xfrc_applied[1], soil.wrenches.sum(axis=0), atol=1e-9)
+    assert d.xfrc_applied[1, 2] == pytest.approx(60 * 9.81, rel=0.005)
+    assert (soil.wrenches[:, 2] > 200).all()
+
+
 def test_a_drop_is_refused_and_nothing_is_lost(blade):
     m, d, soil = scene(blade, height=1.25, dt=0.002)
     soil.start()

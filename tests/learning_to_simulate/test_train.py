@@ -50,6 +50,7 @@ def weights(path):
     return files.read_npz(f'{path}/{checkpoints.WEIGHTS_FILE}')
 
 
+@pytest.mark.xla
 def test_short_training_beats_the_trivial_predictors(tmp_path):
     """The synthetic soil follows the body by a linear law, so 300 steps suffice: 0.1 of
     trivial."""

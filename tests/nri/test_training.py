@@ -28,7 +28,6 @@ def weights(path):
     return files.read_npz(str(path / 'weights.npz'))
 
 
-@pytest.mark.xla
 def test_resumed_training_gives_the_same_bits(tmp_path, monkeypatch):
     """What a kill after epoch 1 leaves behind is copied, and trained on."""
     folder = small.write_springs(tmp_path / 'data')
@@ -171,18 +170,18 @@ def test_every_variant_learns_and_its_gradients_reach_all_weights(settings):
             assert (old != variable.numpy()).any(), variable.name
 
 
+@pytest.mark.xla
 def test_modes_of_a_dataset_from_the_command_line(tmp_path):
     """Trains on a dataset of this project, says that nothing was found, loads again."""
     folder = synthetic.write_dataset(tmp_path / 'data')
     model = tmp_path / 'model'
     command = ['nri.train', f'--data_path={folder}', f'--model_path={model}', '--hidden=8']
     command += ['--window=30', '--segment=3', '--epochs=1', '--nodes=modes_and_rigid']
-    with models.eagerly():
-        done = call_command(*command)
-        assert done.returncode == 0, done.stderr
-        held = data.load(folder, 'test', 'modes_and_rigid')
-        loaded = load_model(str(model))
-        assert loaded.edge_probabilities(held.features).shape == (2, 42, 2)
+    done = call_command(*command)
+    assert done.returncode == 0, done.stderr
+    held = data.load(folder, 'test', 'modes_and_rigid')
+    loaded = load_model(str(model))
+    assert loaded.edge_probabilities(held.features).shape == (2, 42, 2)
     metrics = files.read_json(str(model / 'metrics.json'))
     assert ('COLLAPSED' in done.stdout) == (metrics['test']['status'] == 'COLLAPSED')
     assert loaded.node_names == held.node_names

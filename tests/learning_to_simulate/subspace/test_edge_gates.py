@@ -168,6 +168,7 @@ def test_training_resumes_to_the_same_weights_and_edges(data, trained, tmp_path,
         np.testing.assert_array_equal(weights[name], straight[name])
 
 
+@pytest.mark.xla
 def test_a_high_price_shuts_all_gates(data, tmp_path):
     """What costs more than it helps goes; all gates are open at first."""
     settings = SHORT | {'gate_weight': 100.0, 'gate_steps': 300, 'num_steps': 301}

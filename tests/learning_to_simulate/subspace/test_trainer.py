@@ -40,7 +40,6 @@ def flat(variables):
     return np.concatenate([v.numpy().ravel() for v in variables]).astype(float)
 
 
-@pytest.mark.xla
 @pytest.mark.parametrize('overrides', CASES.values(), ids=CASES)
 def test_training_step_is_that_of_the_twin(tmp_path, overrides):
     """Loss, gradient, weights and their averages after the first step of a training."""
