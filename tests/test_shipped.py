@@ -50,6 +50,7 @@ def test_model_belongs_to_its_dataset(name):
     data = ROOT / 'datasets' / name.split('/')[0]
     metadata = dataset.read_metadata(str(data))
     assert config['data']['subspace'] == metadata['pca']['digest']
+    assert not config['data']['path'].startswith('/'), 'names a machine'
     manifest = (data / 'manifest.json').read_text()
     for digest in config['data']['sha256'].values() if name in WHOLE else ():
         assert digest in manifest
