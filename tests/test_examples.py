@@ -13,8 +13,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import learning_to_simulate as lts
-from learning_to_simulate import api, render_rollout
-from learning_to_simulate.soil_field import evaluation
+from learning_to_simulate import api, evaluation, render_rollout
+from learning_to_simulate.soil_field.evaluation import SoilEvaluator
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 
@@ -47,9 +47,12 @@ def test_lines_of_the_python_page(tmp_path, monkeypatch):
     in the film."""
     pytest.importorskip('matplotlib')
     monkeypatch.chdir(tmp_path)
-    preset, judge = api.preset, evaluation.SoilEvaluator.run
+    preset, soil, subspace = api.preset, SoilEvaluator.run, evaluation.Evaluator.run
+    monkeypatch.setattr(SoilEvaluator, 'run', lambda self, runs, *x: soil(self, runs[:3], *x))
     monkeypatch.setattr(
-        evaluation.SoilEvaluator, 'run', lambda self, runs, *more: judge(self, runs[:3], *more)
+        evaluation.Evaluator,
+        'run',
+        lambda self, groups, *x: subspace(self, [groups[0].select(0)], *x),
     )
     few = functools.partial(render_rollout.draw_terrain, step_stride=40)
     monkeypatch.setattr(render_rollout, 'draw_terrain', few)
