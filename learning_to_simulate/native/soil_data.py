@@ -56,7 +56,7 @@ def values(field) -> dict:
     """The fields of `lts_soil_model` of a `SoilField`; ValueError for one that the C code cannot
     run."""
     networks, c = field.networks, library.constants()
-    tool, limits, tabled = networks.tool, field.limits, networks.tables
+    tool, limits, tabled = networks.tool, field.limits, networks.inputs.tables
     if not all(networks.hidden.values()):
         raise ValueError('a soil field whose networks have no hidden layers has no C form')
     scalars = network.names_of(tool)

@@ -77,31 +77,10 @@ class Members(tf.Module):
         return values
 
 
-class SoilNetworks(tf.Module):
-    """Load, surface and soil.
+class _Frames:
+    """Methods that take frames of a tool, as functions of tensors."""
 
-    Args:
-      tool: a class of `tools.TOOLS`.
-      members: M networks of each.
-      seed: of their first weights.
-      hidden: layers of each network.
-    """
-
-    def __init__(self, tool, members: int, seed: int, hidden=None):
-        super().__init__(name='soil_field')
-        hidden = HIDDEN if hidden is None else hidden
-        self.tool, self.members, self.hidden = tool, members, hidden
-        self.scalars = {n: i for i, n in enumerate(names_of(tool))}
-        t = self.tables = TABLES[tool.name]
-        self.sizes = {
-            'load': [len(t.load) + len(t.side), *hidden['load'], 5],
-            'surface': [len(t.here) + len(t.tool) + 2, *hidden['surface'], 1],
-            'soil': [len(t.here) + len(t.particle) + len(t.tool) + 2, *hidden['soil'], 3],
-        }
-        self.load, self.surface, self.soil = (
-            Members(members, sizes, 3 * seed + k, name)
-            for k, (name, sizes) in enumerate(self.sizes.items())
-        )
+    scalars: dict[str, int]
 
     @functools.cache  # noqa: B019 - networks live as long as their functions
     def compiled(self, name: str, n_strips: int, members: int | None = None):
@@ -120,6 +99,15 @@ class SoilNetworks(tf.Module):
         if members is not None:
             method = functools.partial(method, members=members)
         return tf.function(method, input_signature=signature, autograph=False)
+
+
+class Inputs(_Frames):
+    """What the networks of a tool see. It has no weights, so all fields of a tool share one, and
+    what TensorFlow has traced of it."""
+
+    def __init__(self, tool):
+        self.tool, self.tables = tool, TABLES[tool.name]
+        self.scalars = {n: i for i, n in enumerate(names_of(tool))}
 
     def _at(self, bins, names, strip, share, place):
         """Channels at places [B, P, k] (m from the origin) on strips [B, P] and their next ones by
@@ -207,45 +195,6 @@ class SoilNetworks(tf.Module):
         kappa = tf.clip_by_value((heap + ABOVE - clearance) / RAMP, 0.0, 1.0)
         return seen, sides, kappa
 
-    def load_of(self, seen, sides, kappa, width, members=None, borne=None):
-        """[M, B, 6] force along, up, across (N) and torque along, up, across (N m) of the field,
-        from `load_inputs` and widths [B]: (11), (12). Where it is known, `borne` [B] stands for the
-        force up that the others of a wheel are shares of."""
-        b, k = tf.shape(seen)[0], tf.shape(seen)[1]
-        count = tf.cast(k, tf.float32)
-        both = tf.concat([tf.repeat(seen[:, :, None], 2, axis=2), sides], axis=-1)
-        found = self.load(tf.reshape(both, [-1, both.shape[-1]]), members)
-        found = tf.reshape(found, [-1, b, k, 2, 5])
-        gain = tf.exp(tf.clip_by_value(found[..., 4:], -GAIN_LIMIT, GAIN_LIMIT))
-        unit = tf.constant([FORCE, FORCE, TORQUE, FORCE])
-        # (11): each of the J strips bears its part of the width.
-        share = kappa * width[:, None] / (WIDTH[self.tool.name] * count)
-        shares, found = found, found[..., :4] * gain * unit * share[None, ..., None, None]
-        if self.tool.bears:
-            up = found[..., 1:2]
-            # A wheel's other loads are shares of what it bears, which under a load is known.
-            known = up if borne is None else borne[None, :, None, None, None] / count
-            along, _, turn, side = tf.split(known * shares[..., :4], 4, axis=-1)
-            found = tf.concat([along, up, self.tool.RIM * turn, side], axis=-1)
-        # (12): a strip was asked once with each neighbour. In the plane both answers count the
-        # same; across, those of the two sides push against each other.
-        plane = tf.reduce_mean(found[..., :3], axis=3)  # of strips
-        across = tf.reduce_sum(found[..., 0, 3] - found[..., 1, 3], axis=2)
-        # z_j, middles of the strips about that of the tool.
-        lever = (tf.range(count) - (count - 1.0) / 2.0) * width[:, None] / count
-        along, up, turn = (plane[..., i] for i in range(3))
-        sums = [
-            tf.reduce_sum(along, axis=2), tf.reduce_sum(up, axis=2), across,
-            -tf.reduce_sum(lever * up, axis=2), tf.reduce_sum(lever * along, axis=2),
-            tf.reduce_sum(turn, axis=2),
-        ]  # fmt: skip
-        return tf.stack(sums, axis=-1)
-
-    def loads(self, bins, scalars, members=None):
-        """`load_of` frames."""
-        width = 2.0 * scalars[:, 0, self.scalars['half_width']]
-        return self.load_of(*self.load_inputs(bins, scalars), width, members)
-
     def _places(self, bins, scalars, places, strips):
         """Inputs [B, P, I] of places and g (13) [B, P], and what particles need beside them."""
         (strip, share), (out, out_share), (into, into_share) = strips
@@ -284,9 +233,95 @@ class SoilNetworks(tf.Module):
         return seen, gate * tf.clip_by_value(across, 0.0, 1.0), values, look
 
     def surface_inputs(self, bins, scalars, places, strips):
-        """What the network of the surface sees [B, P, I], and g [B, P]; arguments as of `rise`."""
+        """What the network of the surface sees [B, P, I], and g [B, P]; arguments as of
+        `SoilNetworks.rise`."""
         seen, gate, _, _ = self._places(bins, scalars, places, strips)
         return tf.concat(seen, axis=-1), gate
+
+    def soil_inputs(self, bins, scalars, places, strips):
+        """What the network of particles sees [B, P, I], and what its outputs are multiplied by
+        [B, P, 3]; arguments as of `SoilNetworks.displacement`."""
+        seen, gate, values, look = self._places(bins, scalars, places, strips)
+        values['y'] = places[..., 1]
+        seen.insert(1, self._read(self.tables.particle, values, look))
+        # (15): soil well below the cones (9) rests.
+        deep = values['disturbed'] + BELOW - (values['surface'] - values['y'])
+        gate = gate * tf.clip_by_value(deep / BELOW_RAMP, 0.0, 1.0)
+        # Motion across is odd in z: in the middle soil goes to neither side.
+        odd = gate * tf.clip_by_value(values['z'] / ACROSS, -1.0, 1.0)
+        return tf.concat(seen, axis=-1), tf.stack([gate, gate, odd], axis=-1)
+
+
+inputs_of = functools.cache(Inputs)
+
+
+class SoilNetworks(_Frames, tf.Module):
+    """Load, surface and soil.
+
+    Args:
+      tool: a class of `tools.TOOLS`.
+      members: M networks of each.
+      seed: of their first weights.
+      hidden: layers of each network.
+    """
+
+    def __init__(self, tool, members: int, seed: int, hidden=None):
+        super().__init__(name='soil_field')
+        hidden = HIDDEN if hidden is None else hidden
+        self.tool, self.members, self.hidden = tool, members, hidden
+        self.inputs = inputs_of(tool)
+        self.scalars, t = self.inputs.scalars, self.inputs.tables
+        self.sizes = {
+            'load': [len(t.load) + len(t.side), *hidden['load'], 5],
+            'surface': [len(t.here) + len(t.tool) + 2, *hidden['surface'], 1],
+            'soil': [len(t.here) + len(t.particle) + len(t.tool) + 2, *hidden['soil'], 3],
+        }
+        self.load, self.surface, self.soil = (
+            Members(members, sizes, 3 * seed + k, name)
+            for k, (name, sizes) in enumerate(self.sizes.items())
+        )
+
+    def _seen(self, name, bins, *more):
+        return self.inputs.compiled(name, bins.shape[1])(bins, *more)
+
+    def load_of(self, seen, sides, kappa, width, members=None, borne=None):
+        """[M, B, 6] force along, up, across (N) and torque along, up, across (N m) of the field,
+        from `load_inputs` and widths [B]: (11), (12). Where it is known, `borne` [B] stands for the
+        force up that the others of a wheel are shares of."""
+        b, k = tf.shape(seen)[0], tf.shape(seen)[1]
+        count = tf.cast(k, tf.float32)
+        both = tf.concat([tf.repeat(seen[:, :, None], 2, axis=2), sides], axis=-1)
+        found = self.load(tf.reshape(both, [-1, both.shape[-1]]), members)
+        found = tf.reshape(found, [-1, b, k, 2, 5])
+        gain = tf.exp(tf.clip_by_value(found[..., 4:], -GAIN_LIMIT, GAIN_LIMIT))
+        unit = tf.constant([FORCE, FORCE, TORQUE, FORCE])
+        # (11): each of the J strips bears its part of the width.
+        share = kappa * width[:, None] / (WIDTH[self.tool.name] * count)
+        shares, found = found, found[..., :4] * gain * unit * share[None, ..., None, None]
+        if self.tool.bears:
+            up = found[..., 1:2]
+            # A wheel's other loads are shares of what it bears, which under a load is known.
+            known = up if borne is None else borne[None, :, None, None, None] / count
+            along, _, turn, side = tf.split(known * shares[..., :4], 4, axis=-1)
+            found = tf.concat([along, up, self.tool.RIM * turn, side], axis=-1)
+        # (12): a strip was asked once with each neighbour. In the plane both answers count the
+        # same; across, those of the two sides push against each other.
+        plane = tf.reduce_mean(found[..., :3], axis=3)  # of strips
+        across = tf.reduce_sum(found[..., 0, 3] - found[..., 1, 3], axis=2)
+        # z_j, middles of the strips about that of the tool.
+        lever = (tf.range(count) - (count - 1.0) / 2.0) * width[:, None] / count
+        along, up, turn = (plane[..., i] for i in range(3))
+        sums = [
+            tf.reduce_sum(along, axis=2), tf.reduce_sum(up, axis=2), across,
+            -tf.reduce_sum(lever * up, axis=2), tf.reduce_sum(lever * along, axis=2),
+            tf.reduce_sum(turn, axis=2),
+        ]  # fmt: skip
+        return tf.stack(sums, axis=-1)
+
+    def loads(self, bins, scalars, members=None):
+        """`load_of` frames."""
+        width = 2.0 * scalars[:, 0, self.scalars['half_width']]
+        return self.load_of(*self._seen('load_inputs', bins, scalars), width, members)
 
     def rise_of(self, seen, gate, members=None):
         """[M, ...] m, of `surface_inputs` [..., I] and [...]: (14)."""
@@ -303,20 +338,7 @@ class SoilNetworks(tf.Module):
             place, and `NEIGHBOUR` farther from and nearer to the middle.
           members: number of networks that answer; None: all.
         """
-        return self.rise_of(*self.surface_inputs(bins, scalars, places, strips), members)
-
-    def soil_inputs(self, bins, scalars, places, strips):
-        """What the network of particles sees [B, P, I], and what its outputs are multiplied by
-        [B, P, 3]; arguments as of `displacement`."""
-        seen, gate, values, look = self._places(bins, scalars, places, strips)
-        values['y'] = places[..., 1]
-        seen.insert(1, self._read(self.tables.particle, values, look))
-        # (15): soil well below the cones (9) rests.
-        deep = values['disturbed'] + BELOW - (values['surface'] - values['y'])
-        gate = gate * tf.clip_by_value(deep / BELOW_RAMP, 0.0, 1.0)
-        # Motion across is odd in z: in the middle soil goes to neither side.
-        odd = gate * tf.clip_by_value(values['z'] / ACROSS, -1.0, 1.0)
-        return tf.concat(seen, axis=-1), tf.stack([gate, gate, odd], axis=-1)
+        return self.rise_of(*self._seen('surface_inputs', bins, scalars, places, strips), members)
 
     def displacement_of(self, seen, gate, members=None):
         """[M, ..., 3] m, of `soil_inputs` [..., I] and [..., 3]: (15)."""
@@ -326,7 +348,9 @@ class SoilNetworks(tf.Module):
     def displacement(self, bins, scalars, places, strips, members=None):
         """By how much particles have moved, [M, B, P, 3] m along, up, across: (15); places are
         [B, P, 3] u from the origin, height over the level, distance across, m."""
-        return self.displacement_of(*self.soil_inputs(bins, scalars, places, strips), members)
+        return self.displacement_of(
+            *self._seen('soil_inputs', bins, scalars, places, strips), members
+        )
 
 
 def looks(strips: Strips, across):

@@ -152,7 +152,7 @@ def _stacked(frames, n_strips):
 def load_part(networks, run: Run, episode: Episode) -> Part:
     """Samples of the load: all frames in which the tool may feel soil."""
     frames = episode.frames
-    call = networks.compiled('load_inputs', frames.bins.shape[1])
+    call = networks.inputs.compiled('load_inputs', frames.bins.shape[1])
     parts = [
         [x.numpy() for x in call(*map(tf.constant, frames.at(slice(i, i + BATCH))))]
         for i in range(0, len(frames.scalars), BATCH)
@@ -187,7 +187,7 @@ def motion_of(episode: Episode) -> float:
 def surface_part(networks, episode: Episode, motion: float, rng) -> Part:
     """Samples of the surface; `motion` is that of the whole run."""
     frames, strips, rows = episode.frames, episode.passage.strips, []
-    call = networks.compiled('surface_inputs', frames.bins.shape[1])
+    call = networks.inputs.compiled('surface_inputs', frames.bins.shape[1])
     for t, places, rise in episode.risen[1:]:
         chosen, stands = _drawn(rng, np.abs(rise) > MOVED)
         frame = map(tf.constant, frames.at(slice(t, t + 1)))
@@ -217,7 +217,7 @@ def soil_part(networks, run: Run, rng) -> Part:
             moved = local[t // run.stride] - rest
             chosen, stands = _drawn(rng, (np.abs(moved).max(axis=1) > MOVED) & near)
             places = rest[chosen] - [origin, passage.level, 0.0]
-            call = networks.compiled('soil_inputs', len(passage.strips.centres))
+            call = networks.inputs.compiled('soil_inputs', len(passage.strips.centres))
             seen, gate = call(*map(tf.constant, passage.frame), *placed(passage.strips, places))
             rows.append((seen.numpy()[0], gate.numpy()[0], moved[chosen], stands / len(rest)))
     part = _part(rows)

@@ -175,7 +175,7 @@ def fit(field: SoilField, pools: dict[str, list], progress=True, saved=None, hel
 def _noise(networks):
     """What adds noise to own inputs [B, K, I] and sides [B, K, 2, I'] of the load."""
     to_all, of_tool = NOISE[networks.tool.name], NOISE_OF_TOOL[networks.tool.name]
-    operands = [row.operand for row in networks.tables.load.rows for _ in range(row.columns)]
+    operands = [row.operand for row in networks.inputs.tables.load.rows for _ in range(row.columns)]
     deviations = np.array([of_tool.get(operand, 0.0) for operand in operands], np.float32)
 
     def noise(rng, own, sides):

@@ -432,7 +432,7 @@ def test_a_tool_that_is_clear_of_its_heap_is_in_the_air(tool, ground):
         ends.append(np.linalg.norm(frames[0].force))
         passage = pair[1]._engine._passage
         if not ends[-1]:  # as far as it knows what was cut, a heap might reach it
-            kappa += pair[1].field.networks.load_inputs(*passage.frame)[2].numpy().max()
+            kappa += pair[1].field.networks.inputs.load_inputs(*passage.frame)[2].numpy().max()
     assert ends[0] > 0 == ends[-1] and kappa > 0
     pose[2] += 0.05
     frames = step(pair, pose)

@@ -62,7 +62,7 @@ def test_the_load_of_a_blade_learns_from_runs_at_other_sizes():
     assert [c.tool.width for c in copies] == pytest.approx([0.3 * 0.77, 0.3 * 1.3])
     field = training.make_field(worlds.CONFIG, 'blade', worlds.SMALL)
     pools = training.parts_of(field, [run])
-    radius = [row.operand for row in networks.tables.load.rows].index('radius')
+    radius = [row.operand for row in networks.inputs.tables.load.rows].index('radius')
     edges = {
         round(1e3 * (0.01 * float(x) + 0.014), 2) for x in pools['load'][0].inputs[0][:, 0, radius]
     }
@@ -131,7 +131,7 @@ def test_a_network_that_became_worse_on_other_runs_stays_as_it_was(capsys):
 def test_inputs_that_say_the_tool_get_noise_of_their_own():
     """The same on all strips; all other inputs, of each strip and side, their own."""
     networks = worlds.trained()[0].networks
-    operands = [row.operand for row in networks.tables.load.rows for _ in range(row.columns)]
+    operands = [row.operand for row in networks.inputs.tables.load.rows for _ in range(row.columns)]
     own, sides = np.zeros((4000, 2, len(operands)), np.float32), np.zeros((4000, 2, 2, 13))
     own, sides = training._noise(networks)(np.random.default_rng(0), own, sides.astype(np.float32))
     edge, soil = (own[..., operands.index(name)] for name in ('radius', 'friction'))
