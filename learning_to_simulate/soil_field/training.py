@@ -18,8 +18,9 @@ from learning_to_simulate.soil_field.tools import TOOLS, Blade
 
 CLIP_NORM = 1.0
 ROWS = 2048  # that a loss is computed of at a time
-# How much errors of the six components of a load count: a torque by a lever of 0.1 to 0.3 m.
-COMPONENTS = {'blade': (1, 1, 0.5, 1, 1, 3), 'wheel': (1, 1, 0, 0, 0, 8)}
+# How much errors of the six components of a load count: a torque by a lever of 0.1 to 0.3 m. The
+# drawbar is what is asked of a wheel, and a fraction of what it bears.
+COMPONENTS = {'blade': (1, 1, 0.5, 1, 1, 3), 'wheel': (3, 1, 0, 0, 0, 8)}
 # Share of a run's root mean square of force beyond which errors of the load count by their length.
 ROBUST = 0.3
 # Standard deviations of what is added to the inputs of the load, which are of order one: to all of
