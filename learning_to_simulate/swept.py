@@ -20,6 +20,9 @@ from learning_to_simulate.live.poses import numbers
 
 EDGE_RADIUS = 0.014  # of the solver's blade: half its thickness, m
 TINY = 1e-37  # less than any length, m
+# A tool that is less deep, m, takes its foremost place along by its share, so that this does not
+# jump when it touches the soil.
+GRAZE = 1e-4
 
 
 @dataclasses.dataclass(frozen=True)
@@ -82,8 +85,8 @@ class SweptBed(NamedTuple):
       position: [B, 2] u and y of the circle's centre, m.
       velocity: [B, 2] of the last frame, m/s.
       travelled: [B] length of the path, m.
-      foremost: [B] largest u of the centre while the circle was below the surface, m; the first
-        position until then.
+      foremost: [B] (27), largest u of the centre while the circle was below the surface, m; the
+        first position until then.
     """
 
     origin: np.ndarray
@@ -148,14 +151,15 @@ def _cut(grid, state, position, dt):
 
 def after_step(state, height, tip, length) -> dict[str, np.ndarray]:
     """Fields of a state, of `SweptBed` and of `soil_field.sweep.Sweep`, that a step changes: (2),
-    (5). Of the state before the step; height [B, n] of `underside`, m; tip and length [B], u at
-    which the step ends and its length, m; of a `Sweep`, whose strips go one way, B is 1."""
-    passed, travelled = height < state.surface, state.travelled + length
+    (5), (27). Of the state before the step; height [B, n] of `underside`, m; tip and length [B], u
+    at which the step ends and its length, m; of a `Sweep`, whose strips go one way, B is 1."""
+    below, travelled = state.surface - height, state.travelled + length
+    share = np.clip(below.max(axis=1) / GRAZE, 0.0, 1.0)
     return {
         'profile': np.minimum(state.profile, height),
-        'last': np.where(passed, travelled[..., None], state.last),
+        'last': np.where(below > 0, travelled[..., None], state.last),
         'travelled': travelled,
-        'foremost': np.where(passed.any(axis=1), np.maximum(state.foremost, tip), state.foremost),
+        'foremost': np.maximum(state.foremost, tip - (1.0 - share) * (tip - state.foremost)),
     }
 
 

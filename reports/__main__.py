@@ -20,6 +20,7 @@ REPORTS = {
     'machines': ('machines', 'recorded machines in MuJoCo against the solver; stability, speed'),
     'stability': ('stability', 'extreme cases: what holds, is flagged, is refused'),
     'beyond': ('beyond', 'runs that leave the data, and whether the status says so'),
+    'packing': ('packing', 'how much of an error is chance: runs with another packing'),
     'soil_fits': ('soil_fits', 'how well `lts fit-soil` finds known soils'),
     'page': ('page', 'how fast the page without a server is, in Chromium'),
     'explain': ('explain', 'what a rollout leaves out: edges, MFLOP, time'),
@@ -29,7 +30,7 @@ REPORTS = {
     'documents': ('documents', 'tables of the documents, again from their JSON'),
 }
 # Whose times and bits are those of one thread of TensorFlow.
-ON_ONE_THREAD = 'times', 'stability', 'beyond', 'explain'
+ON_ONE_THREAD = 'times', 'stability', 'beyond', 'packing', 'explain'
 
 
 def main(arguments: list[str]) -> None:

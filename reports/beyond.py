@@ -4,6 +4,9 @@ Each run of kind `beyond` (`mpm/motions/beyond.py`) but the usual one leaves in 
 were taught. The shipped fields roll out these and the test runs of the data of record; the errors
 of the frames that they flag stand beside those of frames that they do not.
 
+No run drives a wheel backwards over fresh soil. A wheel is its own mirror image, so mirror images
+of the test runs tell what a field is worth there.
+
 Examples:
     python -m mpm.generate --scene=wheel --operator_seeds=0-10 --kinds=beyond --output_path=raw
     lts convert --raw_path=raw --like=datasets/wheel --output_path=datasets/wheel_beyond
@@ -22,6 +25,7 @@ from pca_tools import dataset, files
 from reports import markdown, record
 from reports.protocol import judge
 
+ERRORS = 'near_mm', 'force_relative_l2', 'drawbar_relative_l2', 'flagged_share'
 # Scene -> the datasets whose test runs are compared with.
 SCENES = {'excavation': ('excavation', 'excavation_wide'), 'wheel': ('wheel',)}
 
@@ -52,6 +56,35 @@ def judged(scene: str) -> dict:
     return {'runs': rows, 'separation': {name: judge.separation(of) for name, of in told.items()}}
 
 
+def backwards() -> dict:
+    """Errors of each test run of a wheel, forwards and mirrored."""
+    from learning_to_simulate.soil_field import evaluation
+
+    judges = evaluation.SoilEvaluator(lts.load('wheel').model, under_load=False)
+    folders = [f'datasets/{data}' for data in SCENES['wheel']]
+    runs = runs_lib.read_all(folders, 'test')
+    found: dict = {}
+    for way, those in (('forwards', runs), ('backwards', [run.mirrored() for run in runs])):
+        rows = [evaluation.of_rollout(judges.roll_out(run), run) for run in those]
+        found[way] = {key: [float(f'{row[key]:.4g}') for row in rows] for key in ERRORS}
+    return found
+
+
+def ways(path: str) -> str:
+    """A wheel forwards and backwards: means over the runs, the median of the drawbar."""
+    rows = []
+    for way, of in files.read_json(path)['ways'].items():
+        figures = [
+            float((np.median if key == 'drawbar_relative_l2' else np.mean)(of[key]))
+            for key in ERRORS
+        ]
+        rows.append([f'wheel, {way} ({len(of[ERRORS[0]])} runs)', *figures[:3],
+                     f'{100 * figures[3]:.0f}'])  # fmt: skip
+    header = ('runs', 'surface near the tool, mm', 'force, rel. L2',
+              'drawbar, rel. L2 (median)', 'frames flagged, %')  # fmt: skip
+    return markdown.table(header, rows)
+
+
 def table(path: str) -> str:
     """The runs, and below them the errors of flagged frames and of others."""
     rows = [
@@ -80,8 +113,9 @@ def separations(path: str) -> str:
 def main(values) -> None:
     found: dict = record.provenance(1)
     found['scenes'] = {scene: judged(scene) for scene in SCENES}
+    found['ways'] = backwards()
     files.write_json(values.output_path, found)
-    print(table(values.output_path), separations(values.output_path), sep='\n\n')
+    print(*(made(values.output_path) for made in (table, separations, ways)), sep='\n\n')
 
 
 def define_flags() -> None:

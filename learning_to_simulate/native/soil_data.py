@@ -6,6 +6,7 @@ repeats is the order of a frame's scalars.
 
 import numpy as np
 
+from learning_to_simulate import swept
 from learning_to_simulate.native import c_values, fold, library
 from learning_to_simulate.soil_field import (
     engine,
@@ -47,6 +48,7 @@ _CONSTANTS = {
     sweep: (
         'SPACING', 'BACK', 'ON', 'CHUNK', 'WINDOW', 'FORGET', 'MEMORIES', 'TOUCH', 'REACH', 'RISE',
     ),
+    swept: ('GRAZE',),
     terrain: ('SLIDES', 'SLOPE_TOLERANCE'),
     tools: ('BUCKET_EDGE', 'FLOOR_ANGLE', 'FLOOR_SHARE', 'STANDARD_DENSITY', 'STANDARD_GRAVITY'),
 }  # fmt: skip
@@ -84,6 +86,7 @@ def values(field) -> dict:
         'lifted': tool.lifted,
         'turned_back': passage.BACK,
         'strikes': tool.strikes,
+        'backs': tool.backs,
         'renewed_after': min(tool.renewed_after, 1e30),
         'slide_shares': [share for share, *_ in terrain.SLIDE_WAYS],
         'n_scalar': len(scalars),

@@ -146,7 +146,7 @@ class SoilField:
         def first(name):
             return frames.scalars[:, 0, columns[name]]
 
-        tip = first('tip')
+        tip, backs = first('tip'), self.networks.tool.backs
         surface = frames.bins[..., sweep.SURFACE]
         places = sweep.OFFSETS - tip[:, None]
         here = np.abs(places)[:, None] < HERE
@@ -161,7 +161,7 @@ class SoilField:
             AHEAD - first('ahead').astype(np.float64),
             # A tool that falls is faster than any that goes on.
             np.abs(first('along_0').astype(np.float64)) * first('speed'),
-            np.maximum(frames.scalars[..., columns['foremost']].max(axis=1) - tip, 0.0),
+            np.clip(frames.scalars[..., columns['foremost']].max(axis=1) - tip, 0.0, backs),
             AHEAD - first('behind').astype(np.float64),
         ]
         names = self.judged_names[: named(self.networks.tool)]

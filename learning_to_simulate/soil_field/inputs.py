@@ -165,9 +165,6 @@ AT_TOOL = (-0.16, -0.1, -0.06, -0.04, -0.02, -0.01, 0.0, 0.01, 0.02, 0.04, 0.07,
 CUT_AT_BLADE = (-0.1, -0.06, -0.04, -0.02, 0.0, 0.02, 0.04, 0.07, 0.11)
 # The last passage fades over so much travel, m.
 RECENT = 0.15
-# Soil farther behind the tool is at rest, and few drives of a wheel show it: all of it counts as so
-# far behind, m of the field.
-FAR = 0.2
 
 _AREA = (
     Row('area', 0.01), Row('sqrt(relu(area) + 1e-6)', 0.1),
@@ -201,8 +198,7 @@ _BEARS = (
     Row('below', 0.01, 'fade'),
 )  # fmt: skip
 _MOVES = (
-    *_AREA, Row('foremost - tip', 0.1), Row('foremost - tip', 0.002, 'tanh'),
-    *_MEMORY, Row('speed', 0.1), _AHEAD,
+    Row('foremost - tip', 0.002, 'tanh'), *_MEMORY, Row('speed', 0.1), _AHEAD,
 )  # fmt: skip
 _SEES = (
     Row('at.surface - height', 0.05, at=AT_TOOL),
@@ -215,17 +211,19 @@ _SIDE = (Row('at.beside - at.surface + at.cut', 0.03, at=AT_TOOL),)
 _STANDS = (
     Row('at.surface - height', 0.05, at=(0.0,)),
     Row('height - at.surface', 0.03, 'relu', at=(0.0,)),
-    *_AREA, Row('foremost - tip', 0.1), _AHEAD,
+    *_AREA,
 )  # fmt: skip
 # What a blade strikes off that goes on over the terrain, and what it then has left.
 _LEFT = (Row('layer', 0.01), Row('carried - layer', 0.01), Row('carried - layer', 0.003, 'tanh'))
 _STRUCK = (
     Row('struck', 0.02), Row('at.struck', 0.02, at=AROUND), Row('area_before', 0.003, 'tanh'),
 )  # fmt: skip
-_BEHIND_TIP, _BEHIND_FOREMOST = (f'{x} - u - relu({x} - u - {FAR})' for x in ('tip', 'foremost'))
+_BEHIND_TIP, _BEHIND_FOREMOST = (
+    f'{x} - u - relu({x} - u - {sweep.FAR})' for x in ('tip', 'foremost')
+)
 _PAST_END, _ABOVE_CUT = 'abs(z) - half_width', 'y - surface + cut'
 _HERE = (
-    Row(_BEHIND_TIP, 0.15), Row('tip - u', 0.03, 'tanh'),
+    Row('tip - u', 0.03, 'tanh'),
     *(Row('tip - u', 0.05, 'bell', shift) for shift in (-0.08, 0.0, 0.08)),
     Row('abs(z)', 0.15), Row(_PAST_END, 0.03, 'tanh'), Row(_PAST_END, 0.1, 'tanh'),
     Row(_PAST_END, 0.008, 'tanh'), Row(_PAST_END, 0.02, 'bell'),
@@ -260,15 +258,22 @@ class Tables(NamedTuple):
     tool: Table
 
 
-def _tables(own, of_load=(), here=(), stands=(), cut_at=AT_TOOL):
-    load = *own, *of_load, *_MOVES, Row('at.cut', 0.03, at=cut_at), *_SEES
+def _tables(own, of_load=(), here=(), stands=(), cut_at=AT_TOOL, about=_BEHIND_TIP,
+            backed='foremost - tip'):  # fmt: skip
+    back = Row(backed, 0.1)
+    load = *own, *of_load, *_AREA, back, *_MOVES, Row('at.cut', 0.03, at=cut_at), *_SEES
     return Tables(
-        Table(load), Table(_SIDE), Table((*_HERE, *here)), Table(_OF_PARTICLE),
-        Table((*own, *_STANDS, *stands)),
+        Table(load), Table(_SIDE), Table((Row(about, 0.15), *_HERE, *here)), Table(_OF_PARTICLE),
+        Table((*own, *_STANDS, back, _AHEAD, *stands)),
     )  # fmt: skip
 
 
 TABLES = {
     'blade': _tables(_BLADE, (*_PACE, *_BACK), _STRUCK, _LEFT, CUT_AT_BLADE),
-    'wheel': _tables(_WHEEL, _BEARS),
+    'wheel': _tables(
+        _WHEEL,
+        _BEARS,
+        about=f'{_BEHIND_TIP} + relu(u - tip - {sweep.FAR})',
+        backed=f'foremost - tip - relu(foremost - tip - {sweep.FAR})',
+    ),
 }

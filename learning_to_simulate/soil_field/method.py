@@ -65,7 +65,7 @@ def train(data_path, model_path, config, options) -> dict:
             # The ranges of a field are those of the runs that come last.
             held = None  # runs as they are judge, not copies of them
             if first and valid:
-                held = training.parts_of(made, valid, _bar('valid'), sizes=())
+                held = training.parts_of(made, valid, _bar('valid'), copies=False)
             pools = training.parts_of(made, runs, _bar('samples'))
             events = tf.summary.create_file_writer(model_path)
             with StopSignals() as saved.stop, events.as_default():

@@ -1,6 +1,7 @@
 """`Passage`: one tool on its way over a terrain, from where it was set down."""
 
 import copy
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -193,8 +194,13 @@ class Passage:
 
     @property
     def turning(self) -> float:
-        """Share of x in what the tool did on the last 30 mm (7): turns of a blade, slip."""
-        return float(self.state.memory[-1, 2])
+        """Share of x in what the tool did on the last 30 mm (7): turns of a blade, slip. That of a
+        wheel is negative where its rim is slower than its axle, whichever way it goes, and little
+        where it has just turned back."""
+        along, x = (float(v) for v in self.state.memory[-1, [0, 2]])
+        if not self.tool.bears:
+            return x
+        return abs(x) if along * x >= 0 else along * x / math.hypot(along, x)
 
     @property
     def leans(self) -> float:

@@ -93,6 +93,20 @@ class Run(NamedTuple):
             particles=None, machine=None,
         )  # fmt: skip
 
+    def mirrored(self) -> 'Run':
+        """The run of a wheel, which is its own mirror image, with the sign of x changed: it goes
+        backwards where the run goes forwards. Without a machine."""
+        of_places, of_turns = np.array([-1.0, 1.0, 1.0]), np.array([1.0, -1.0, -1.0])
+        length = self.heights.shape[1] * self.cell[0]
+        return self._replace(
+            pose=self.pose * np.concatenate([of_places, [1.0], of_turns]),
+            force=self.force * of_places, torque=self.torque * of_turns,
+            heights=self.heights[:, ::-1],
+            corner=np.array([-self.corner[0] - length, self.corner[1]]),
+            particles=None if self.particles is None else self.particles * np.float32(of_places),
+            machine=None,
+        )  # fmt: skip
+
     def before(self) -> Terrain:
         """The bed before the tool stood on it. A wheel has sunk into it in the first frame, unless
         it has made a rut and is over that."""

@@ -5,7 +5,7 @@ of a wheel. J strips lie side by side across the way, under the tool and beside 
 along the way. The bins are a ring about the tool: where it leaves them, those behind are dropped
 and new ones are read from the terrain, so that a path has no end and a step always costs the same.
 What they remember are (1) to (9) of docs/soil_field.md; of the outermost bins of the area (4) their
-share counts, and `foremost` is at most WINDOW before the tool.
+share counts, and `foremost` is at most FORGET before the tool, farther than the bins.
 
 Two calls in a row equal one call over the joined path up to (7), which sees straight pieces; moving
 path and terrain together changes nothing. Coordinates: u (m) along the way, y (m) upwards; lengths
@@ -28,6 +28,9 @@ OFFSETS.setflags(write=False)
 BACK, ON, CHUNK = 0.1, 0.3, 20
 WINDOW = 0.45  # m behind and before the tool that count
 FORGET = 1.0  # m
+# Soil farther behind the tool is at rest, and few drives of a wheel show it: all of it counts as so
+# far behind, m; behind a wheel that goes backwards it lies ahead.
+FAR = 0.2
 MEMORIES = (0.0005, 0.002, 0.008, 0.03)  # m
 # A place counts as fully cut below this depth, m; between, it counts by its depth, so that nothing
 # jumps when the tool first touches the soil.
@@ -169,7 +172,7 @@ def advance(
         pose=pose,
         memory=fade * state.memory + (1 - fade) * motion,  # (7)
         way=state.way + ds,
-        foremost=np.minimum(after.foremost, pose[0] + WINDOW),
+        foremost=np.minimum(after.foremost, pose[0] + FORGET),
         speed=ds / dt,
     )
 

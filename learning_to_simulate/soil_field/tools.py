@@ -18,6 +18,8 @@ from typing import ClassVar
 
 import numpy as np
 
+from learning_to_simulate.soil_field import sweep
+
 STANDARD_DENSITY, STANDARD_GRAVITY = 1730.61, 9.81
 # By how much a bucket's edge counts as blunter than it is, m of the field: plates were taught with
 # radii of 13 to 18 mm, buckets with 4, and what lies between is neither.
@@ -81,6 +83,8 @@ class Tool(abc.ABC):
     lifted: ClassVar[float]
     # Over the terrain, m of the field, up to where it strikes off what it has moved; 0: not at all.
     strikes: ClassVar[float]
+    # Up to where its load and soil differ by how far, m of the field, it has gone back.
+    backs: ClassVar[float]
     # Way, m of the field, after which a passage is renewed where the tool cuts new soil.
     renewed_after: ClassVar[float]
 
@@ -140,7 +144,7 @@ class Blade(Tool):
     least_soil, wall_beside = 0.05, 0.07
     largest_cell, taught_turning = 0.04, (-0.55, 0.55)
     lifted = strikes = 0.04
-    renewed_after = 0.6
+    backs, renewed_after = sweep.FORGET, 0.6
     taught_widths: ClassVar = (0.15, 0.6)
     # `edge` is judged only: no network sees it.
     scalars = ('half_width', 'friction', 'radius', 'length', 'bucket', 'plates', 'edge', 'stress')
@@ -195,9 +199,10 @@ class Wheel(Tool):
     columns = 1
     bears = True
     least_soil, wall_beside = 0.008, 0.022
-    largest_cell, taught_turning = 0.052, (-0.7, 0.85)
+    largest_cell, taught_turning = 0.052, (-0.25, 0.85)
     lifted = 0.03
     strikes = 0.0
+    backs = sweep.FAR  # it goes back without end, as it goes on
     renewed_after = np.inf  # its rut keeps its volume as it is
     RIM: ClassVar = 0.1  # m of the field
     scalars = ('half_width', 'friction', 'radius', 'lugs', 'lug_height', 'stress')

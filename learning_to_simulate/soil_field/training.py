@@ -14,7 +14,7 @@ from learning_to_simulate.soil_field import network, samples
 from learning_to_simulate.soil_field.field import CONDITIONS, SoilField
 from learning_to_simulate.soil_field.runs import Run
 from learning_to_simulate.soil_field.settings import SCHEDULES, SoilFieldConfig
-from learning_to_simulate.soil_field.tools import TOOLS, Blade
+from learning_to_simulate.soil_field.tools import TOOLS, Blade, Wheel
 
 CLIP_NORM = 1.0
 ROWS = 2048  # that a loss is computed of at a time
@@ -68,10 +68,10 @@ def make_field(
     return SoilField(config, networks)
 
 
-def parts_of(field: SoilField, runs: list[Run], progress=iter, sizes=SIZES) -> dict[str, list]:
+def parts_of(field: SoilField, runs: list[Run], progress=iter, copies=True) -> dict[str, list]:
     """Name of a network -> samples of runs, joined where they have one shape: loads of uneven
-    terrain have five strips, of even terrain one. The field learns their ranges. `sizes` are those
-    of `copies_of`.
+    terrain have five strips, of even terrain one. The field learns their ranges. With `copies`,
+    samples of copies of the runs, too.
 
     Raises:
       ValueError: no runs.
@@ -81,7 +81,7 @@ def parts_of(field: SoilField, runs: list[Run], progress=iter, sizes=SIZES) -> d
     values: list = []
     pools: dict[str, dict] = {name: {} for name in network.HIDDEN}
     for run in progress(runs):
-        judged, parts = parts_of_run(field, run, sizes)
+        judged, parts = parts_of_run(field, run, copies)
         values += judged
         for name, part in parts:
             pools[name].setdefault(part.inputs[0].shape[1:], []).append(part)
@@ -93,31 +93,35 @@ def parts_of(field: SoilField, runs: list[Run], progress=iter, sizes=SIZES) -> d
     return {name: [_joined(some) for some in pool.values()] for name, pool in pools.items()}
 
 
-def parts_of_run(field: SoilField, run: Run, sizes=SIZES) -> tuple[list, list]:
+def parts_of_run(field: SoilField, run: Run, copies=True) -> tuple[list, list]:
     """What is judged of a run [T, J], by episode, and the samples (name of a network, `Part`) of it
     and its copies. Its places are a draw of its name: all seeds learn from the same ones."""
-    networks, values, parts, motion = field.networks, [], [], None
+    networks, values, parts = field.networks, [], []
     name = zlib.crc32(f'{run.kind} {run.case}'.encode())
     rng = np.random.Generator(np.random.Philox(key=0, counter=[0, 0, 9, name]))
-    for start, episode in samples.episodes_of(run):
-        motion = samples.motion_of(episode) if motion is None else motion
-        if not start or np.isfinite(run.tool.renewed_after):
-            values.append(field.judged(episode.frames))  # a renewed passage begins like that
-        parts.append(('load', samples.load_part(networks, run, episode)))
-        parts.append(('surface', samples.surface_part(networks, episode, motion, rng)))
-    if run.particles is not None:
-        parts.append(('soil', samples.soil_part(networks, run, rng)))
-    for copy in copies_of(run, sizes):
+    # What a wheel does forwards, it does backwards.
+    mirrored = [run.mirrored()] if copies and isinstance(run.tool, Wheel) else []
+    for each in [run, *mirrored]:
+        motion = None
+        for start, episode in samples.episodes_of(each):
+            motion = samples.motion_of(episode) if motion is None else motion
+            if not start or np.isfinite(run.tool.renewed_after):
+                values.append(field.judged(episode.frames))  # a renewed passage begins like that
+            parts.append(('load', samples.load_part(networks, each, episode)))
+            parts.append(('surface', samples.surface_part(networks, episode, motion, rng)))
+        if each.particles is not None:
+            parts.append(('soil', samples.soil_part(networks, each, rng)))
+    for copy in copies_of(run) if copies else ():
         for _, episode in samples.episodes_of(copy):
             parts.append(('load', samples.load_part(networks, copy, episode)))
     return values, parts
 
 
-def copies_of(run: Run, sizes=SIZES) -> list[Run]:
-    """The run of a blade at other sizes, where the scale of the tool stays; [] of other tools."""
+def copies_of(run: Run) -> list[Run]:
+    """The run of a blade at other `SIZES`, where the scale of the tool stays; [] of other tools."""
     if not isinstance(run.tool, Blade):
         return []
-    return [copy for copy in map(run.resized, sizes) if copy.tool.scale == run.tool.scale]
+    return [copy for copy in map(run.resized, SIZES) if copy.tool.scale == run.tool.scale]
 
 
 def _joined(parts):

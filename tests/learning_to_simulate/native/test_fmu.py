@@ -158,10 +158,11 @@ def _ground(cell=0.02):
 WAYS = [(20, [-0.3, -0.15, 0.0], 0.6), (40, [-0.4, 0.0, 0.0], -0.25), (6, [-0.3, 0.05, 0.5], 0.0)]
 
 
-def _go(start):
-    """Inputs of `_Slave.set` along `WAYS`, each twist from its pose on."""
+def _go(start, radius=np.inf):
+    """Inputs of `_Slave.set` along `WAYS`, each twist from its pose on; a wheel rolls as well."""
     place, angle = np.array(start, float), 0.0
     for count, velocity, turn in WAYS:
+        turn -= velocity[0] / radius
         for _ in range(count):
             rot = [np.cos(angle / 2), 0, 0, np.sin(angle / 2)]
             yield {'pos': place, 'rot': rot, 'lin_vel': velocity, 'ang_vel': [0, 0, turn]}
@@ -181,7 +182,8 @@ def test_a_soil_field_is_valid_and_equals_the_stepper(soils, kind, tmp_path):
     start = [2.2, 0.12 + scale, 1.0]
     slave = _Slave(path, tmp_path, pos=start, **_parameters(kind))
     live.start([*start, 1.0, 0, 0, 0])
-    steps, found, expected = list(_go(start)), [], []
+    rim = scale if kind == 'wheel' else np.inf
+    steps, found, expected = list(_go(start, rim)), [], []
     load = f'{slave.body}_load'
     spreads = [f'{load}.{part}_spread.{way}' for part in ('force', 'moment')
                for way in ('along', 'up', 'across')]  # fmt: skip

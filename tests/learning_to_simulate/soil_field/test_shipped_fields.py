@@ -250,6 +250,38 @@ def test_a_second_pass_in_a_trench_of_a_blade_needs_less():
     assert again[middle, 0].mean() < 0.6 * first[middle, 0].mean()
 
 
+def test_a_wheel_drives_backwards_as_it_drives_forwards():
+    """It is its own mirror image, and so is what it does from level ground on, also on a way that
+    is longer than those of training."""
+    path, soils = way('wheel'), (ground(), ground())
+    path[:, 0] *= 2
+    path[:, 2] = -path[:, 0] / 0.7 / TOOLS['wheel'].radius
+    loads = [
+        go(stepper('wheel', soil), poses(path * turns))
+        for soil, turns in zip(soils, ([1, 1, 1], [-1, 1, -1]), strict=True)
+    ]
+    apart = loads[1] * [-1, 1, 1, 1, -1, -1] - loads[0]
+    for part in (slice(0, 2), slice(5, 6)):
+        assert np.linalg.norm(apart[:, part]) < 0.2 * np.linalg.norm(loads[0][:, part])
+    # The rut stays, far from the wheel as well.
+    x, z = soils[0].middles
+    rut = ((x > -0.6) & (x < -0.3))[:, None] & (np.abs(z) < 0.03)
+    forwards, backwards = soils[0].heights[rut].mean(), soils[1].heights[::-1][rut].mean()
+    assert forwards < -0.006 and backwards == pytest.approx(forwards, rel=0.4)
+
+
+@pytest.mark.parametrize('sign', [1, -1])
+@pytest.mark.parametrize('rim, reason', [(0.8, ''), (0.4, 'turning'), (0.0, 'turning')])
+def test_a_braked_wheel_is_flagged(sign, rim, reason):
+    """Rims of training were not slower than 0.7 times the axle; the solver's locked wheel digs."""
+    path = way('wheel')
+    path[:, 2] = -rim * path[:, 0] / TOOLS['wheel'].radius
+    tool = stepper('wheel', ground())
+    frames = frames_of(tool, poses(path * [sign, 1, sign]))
+    assert tool.frame.judgement.reason.partition(' ')[0] == reason
+    assert np.mean([frame.status != 'ok' for frame in frames]) > 0.5 or not reason
+
+
 def test_a_long_way_of_a_wheel_neither_makes_nor_loses_soil():
     """Ten times as far as any run: the heap stays that of a wheel and is as large as the rut, which
     stays as it was when it was new."""

@@ -60,7 +60,8 @@ def drawn(path, turn, n=2000):
         layer = 0.005 * (shallow * thick).sum(axis=1)
         travelled += np.linalg.norm(b[:2] - a[:2])
         last = np.where(e < surface, travelled, last)
-        foremost = np.where((e < surface).any(axis=1), np.maximum(foremost, b[0]), foremost)
+        share = np.clip((surface - e).max(axis=1) / 1e-4, 0, 1)
+        foremost = np.maximum(foremost, foremost + share * (b[0] - foremost))
         # Motions and lengths of small pieces.
         ds = np.linalg.norm(b[:2] - a[:2]) + abs(x)
         motions += [(ds / n, np.array([*(b[:2] - a[:2]), x, ds**2 / DT]) / ds)] * n
@@ -111,6 +112,19 @@ def test_a_sweep_is_that_of_a_circle_drawn_along_the_path():
             np.testing.assert_allclose(found / size, want['memory'] / size, atol=2e-3)
     assert states[-1].profile.min() < -0.065 and (wanted[-1]['area_before'] > 1e-3).sum() > 10
     assert wanted[-1]['layer'].min() > 5e-4 and states[-1].begun.min() == 1
+
+
+def test_a_tool_that_touches_the_soil_takes_its_foremost_place_along_without_a_jump():
+    def foremost(depth):
+        """After 5 mm over the soil, down to so deep in it at a bin's centre."""
+        state = sweep.start(np.array([0.0, RADIUS + 0.01, 0.0]), level)
+        pose = np.array([0.005, RADIUS - depth, 0.0])
+        return sweep.advance(state, pose, 0.0, RADIUS, DT, level).foremost[0]
+
+    assert foremost(-1e-6) == pytest.approx(0.0, abs=1e-15)
+    assert foremost(1e-6) == pytest.approx(5e-5, rel=1e-6)
+    assert foremost(5e-5) == pytest.approx(2.5e-3, rel=1e-6)
+    assert foremost(1e-4 + 1e-9) == foremost(0.01) == 0.005
 
 
 def test_scalars_and_channels_have_their_names():

@@ -83,7 +83,7 @@ struct lts_soil_model {
   int32_t n_bin, n_behind, chunk, n_channel;
   double spacing, back, on;
   /* Sweep. */
-  double window, forget, memories[4], touch, reach, rise;
+  double window, forget, memories[4], touch, reach, rise, graze;
   /* Strips: under a tool, and on either side. */
   int32_t n_column, n_beside;
   double beside_width, across[5]; /* across: where a strip is read, in its widths */
@@ -93,7 +93,7 @@ struct lts_soil_model {
   double ahead, below_tool, even, max_step, set_down, factor[2]; /* factor: of (20) */
   double flat, steep, relaid, even_slope;                        /* of a slope that is seen as level */
   /* m over the soil; under a tool along the way; behind its foremost place; over the terrain; way of a passage. */
-  double lifted, under, turned_back, strikes, renewed_after;
+  double lifted, under, turned_back, strikes, backs, renewed_after;
   /* Terrain: of soil that slides. */
   int32_t slides, unused_slides;
   double slope_tolerance, slide_shares[3];

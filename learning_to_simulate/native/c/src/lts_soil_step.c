@@ -48,7 +48,7 @@ static int find_ground(const lts_soil *soil, const lts_passage *p, double area, 
   found[5] = fabs((double)s[LTS_SOIL_MEMORY]) * (double)(float)p->s.speed;
   float foremost = s[LTS_SOIL_FOREMOST];
   for (int j = 1; j < n_strip; ++j) foremost = fmaxf(foremost, soil->scalars[j][LTS_SOIL_FOREMOST]);
-  found[6] = fmax(foremost - s[LTS_SOIL_TIP], 0.0);
+  found[6] = fmin(fmax(foremost - s[LTS_SOIL_TIP], 0.0), soil->model->backs);
   found[7] = m->ahead - (double)s[LTS_SOIL_OF_PASSAGE(m, BEHIND)];
   return lts_soil_lowest_part(soil) < level + (double)m->above + (double)m->heap * sqrt(fmax(area, 0.0));
 }
@@ -110,7 +110,9 @@ static void find_conditions(const lts_soil *soil, const lts_passage *p, const lt
   const double whole = lts_soil_whole_grade(&p->s.place, found[8]);
   if (fabs(whole) > soil->model->steep) found[8] = whole;
   const int is_blade = soil->model->kind == LTS_SOIL_BLADE;
-  found[9] = p->s.memory[LTS_SOIL_MEMORIES - 1][2];
+  const double *done = p->s.memory[LTS_SOIL_MEMORIES - 1], product = done[0] * done[2];
+  const double slip = product < 0.0 ? product / hypot(done[0], done[2]) : fabs(done[2]);
+  found[9] = is_blade ? done[2] : slip;
   found[10] = is_blade ? (soil->tool.bucket != 0.0 ? -p->s.pose[2] : p->s.pose[2]) : 0.0;
   found[11] = fmax(soil->model->wall_beside - beside / soil->scale, 0.0);
 }

@@ -186,7 +186,7 @@ void lts_soil_advance(lts_soil *soil, lts_passage *p, const double pose[3], doub
   for (int j = 0; j < w->n_strip; ++j) {
     const size_t row = LTS_SOIL_ROW(soil, j);
     double *surface = p->surface + row, *profile = p->profile + row, *struck = p->struck + row;
-    double before = -1.0, left = -1.0, deepest = 0.0;
+    double before = -1.0, left = -1.0, deepest = 0.0, below = 0.0;
     int passed = 0;
     for (int k = begin; k < end; ++k) {
       const double height = soil->under[k];
@@ -200,6 +200,7 @@ void lts_soil_advance(lts_soil *soil, lts_passage *p, const double pose[3], doub
         continue;
       }
       passed = 1;
+      below = fmax(below, surface[k] - height);
       p->last[row + (size_t)k] = w->travelled; /* (5) */
       if (!(profile[k] < surface[k])) {
         /* (6): the area before this frame, so that what is cut together has one value. */
@@ -217,9 +218,9 @@ void lts_soil_advance(lts_soil *soil, lts_passage *p, const double pose[3], doub
       const double over = w->begun[j] * fmin(surface[k] + m->strikes - soil->under[k], m->strikes);
       struck[k] = fmax(struck[k], over);
     }
-    /* In the soil the tool makes itself a new foremost place. */
-    if (passed && pose[0] > w->foremost[j]) w->foremost[j] = pose[0];
-    w->foremost[j] = fmin(w->foremost[j], pose[0] + m->window);
+    /* (27): in the soil the tool makes itself a new foremost place. */
+    const double at = pose[0] - (1.0 - fmin(below / m->graze, 1.0)) * (pose[0] - w->foremost[j]);
+    w->foremost[j] = fmin(fmax(w->foremost[j], at), pose[0] + m->forget);
   }
   const double motion[LTS_SOIL_MOTIONS] = {step[0], step[1], turn, ds * ds / dt}, share = fmax(ds, 1e-30);
   for (int i = 0; i < LTS_SOIL_MEMORIES; ++i) { /* (7) */
