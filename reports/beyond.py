@@ -24,6 +24,7 @@ from learning_to_simulate.soil_field import runs as runs_lib
 from pca_tools import dataset, files
 from reports import markdown, record
 from reports.protocol import judge
+from reports.protocol.tables import MEDIANS, TITLES
 
 ERRORS = 'near_mm', 'force_relative_l2', 'drawbar_relative_l2', 'flagged_share'
 # Scene -> the datasets whose test runs are compared with.
@@ -74,15 +75,13 @@ def ways(path: str) -> str:
     """A wheel forwards and backwards: means over the runs, the median of the drawbar."""
     rows = []
     for way, of in files.read_json(path)['ways'].items():
-        figures = [
-            float((np.median if key == 'drawbar_relative_l2' else np.mean)(of[key]))
-            for key in ERRORS
-        ]
-        rows.append([f'wheel, {way} ({len(of[ERRORS[0]])} runs)', *figures[:3],
-                     f'{100 * figures[3]:.0f}'])  # fmt: skip
-    header = ('runs', 'surface near the tool, mm', 'force, rel. L2',
-              'drawbar, rel. L2 (median)', 'frames flagged, %')  # fmt: skip
-    return markdown.table(header, rows)
+        *figures, flagged = (
+            float((np.median if key in MEDIANS else np.mean)(of[key])) for key in ERRORS
+        )
+        name = f'wheel, {way} ({len(of[ERRORS[0]])} runs)'
+        rows.append([name, *figures, f'{100 * flagged:.0f}'])
+    titles = [TITLES[key] for key in ERRORS[:-1]]
+    return markdown.table(['runs', *titles, 'frames flagged, %'], rows)
 
 
 def table(path: str) -> str:

@@ -92,7 +92,8 @@ struct lts_soil_model {
   /* Passage. */
   double ahead, below_tool, even, max_step, set_down, factor[2]; /* factor: of (20) */
   double flat, steep, relaid, even_slope;                        /* of a slope that is seen as level */
-  /* m over the soil; under a tool along the way; behind its foremost place; over the terrain; way of a passage. */
+  /* m over the soil; under a tool along the way; behind its foremost place; over the terrain; way back that counts;
+   * way of a passage. */
   double lifted, under, turned_back, strikes, backs, renewed_after;
   /* Terrain: of soil that slides. */
   int32_t slides, unused_slides;
