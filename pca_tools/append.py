@@ -19,10 +19,10 @@ from absl import flags
 
 from pca_tools import command, convert, dataset, encode, files, packing
 from pca_tools.encode import EncodedRun
-from pca_tools.heights import Grid, Heights, grid_faults
+from pca_tools.heights import Heights
 from pca_tools.metadata import SPLITS
 from pca_tools.particles import ParticleSample
-from pca_tools.raw_runs import RawRuns, raise_faults
+from pca_tools.raw_runs import RawRuns
 from pca_tools.storage import folder_lock
 
 
@@ -35,9 +35,8 @@ def append(
     both.
 
     FileNotFoundError: a folder or file is missing. ValueError: bad raw runs, another scene or
-    packing, runs without a split, nothing new, a run that the dataset holds with other content, a
-    dataset with files of somebody else, or one that another process writes or has replaced
-    meanwhile. OSError: the dataset cannot be written."""
+    packing, runs without a split, nothing new, a run that the dataset holds with other content, or
+    a dataset with foreign files or another writer. OSError: the dataset cannot be written."""
     dataset.read_metadata(data_path)  # the lock would make a folder that is absent
     with folder_lock.locked(data_path):
         encode.refuse_occupied_output(data_path, overwrite=True)
@@ -46,16 +45,15 @@ def append(
         runs = RawRuns(raw_path)
         runs.check(check_units, held.space, match_particles)
         convert.refuse_other_scene(data_path, held.metadata, runs)
-        raise_faults(raw_path, grid_faults(runs[0].grid, held.grid, data_path))
+        new, old = (grid or 'none' for grid in (runs[0].grid, held.grid))
+        if new != old:
+            raise ValueError(f'{raw_path}: its height map is {new}, that of {data_path} {old}')
         added = _encode_new(runs, held, data_path)
         together = held.with_parts(
             {split: [*held.parts.get(split, []), *added[split]] for split in SPLITS}, runs.world
         )
         if files.check_manifest(data_path, ()) != listed:  # by `--overwrite`, which takes no lock
-            raise ValueError(
-                f'{data_path}: was replaced while runs were added; what is there now is kept, call '
-                'again'
-            )
+            raise ValueError(f'{data_path}: was replaced while runs were added; call again')
         encode.write(data_path, together, overwrite=True)
         return together.metadata
 
@@ -65,7 +63,6 @@ def _encode_new(
 ) -> dict[str, list[EncodedRun]]:
     """Returns split -> the runs that the dataset does not hold; ValueError if there is none, one is
     held with other content, or they name no split."""
-    sample = ParticleSample.read(data_path, next(iter(held.parts)))
     records = {convert.run_key(run.parameters): run for part in held.parts.values() for run in part}
     new, twice = [], {}
     for index in range(len(runs)):
@@ -81,12 +78,9 @@ def _encode_new(
         return encode.encode_runs(runs, indices, held.space, held.space.n_modes, held.sampled)
 
     for made, record in zip(encoded([*twice]), twice.values()):
-        if not _are_equal(made, record, sample, held.grid):
-            raise ValueError(
-                f'{data_path}: holds case {made.parameters["case"]} with other content (path, '
-                'force, context or particles) than the raw run; nothing was changed. A new run '
-                'needs a case id of its own'
-            )
+        if not _are_equal(made, record, held):
+            held_case = f'holds case {made.parameters["case"]} with other content'
+            raise ValueError(f'{data_path}: {held_case}; a new run needs a case id of its own')
     if not new:
         raise ValueError(f'{data_path}: holds all {len(runs)} runs already; nothing was changed')
     dealt = convert.given_splits(runs, new, need_train=False)
@@ -95,25 +89,23 @@ def _encode_new(
     return {split: encoded(part) for split, part in dealt.items()}
 
 
-def _are_equal(
-    made: EncodedRun, held: EncodedRun, sample: ParticleSample, grid: Grid | None
-) -> bool:
+def _are_equal(made: EncodedRun, held: EncodedRun, whole: encode.Contents) -> bool:
     """Whether two records are of one run. Packed records hold scores in whole steps and rigid
     particles as the pose puts them; everything else is kept bit for bit."""
     ours, theirs = made.trajectory, held.trajectory
     if ours.position.shape != theirs.position.shape:
         return False
-    soils = [
-        packing.unpack_steps(*run.sample, sample.rest, sample.resolution) for run in (made, held)
-    ]
-    terrains = [
-        packing.unpack_steps(*run.heights, np.zeros(grid.shape), Heights.RESOLUTION)
-        for run in (made, held)
-        if grid and run.heights
-    ]
+
+    def unpacked(run: EncodedRun) -> list[np.ndarray]:
+        rest = whole.space.initial[whole.sampled]
+        found = [packing.unpack_steps(*run.sample, rest, ParticleSample.RESOLUTION)]
+        if whole.grid and run.heights:
+            flat = np.zeros(whole.grid.shape)
+            found.append(packing.unpack_steps(*run.heights, flat, Heights.RESOLUTION))
+        return found
+
     return (
-        np.array_equal(*soils)
-        and (not terrains or np.array_equal(*terrains))
+        all(map(np.array_equal, unpacked(made), unpacked(held)))
         and np.abs(ours.position - theirs.position).max() < dataset.POSE_TOLERANCE
         and all(
             np.array_equal(getattr(ours, name), getattr(theirs, name))

@@ -84,13 +84,10 @@ def convert(
     runs = RawRuns(raw_path)
     base, space = (None, None) if like is None else encode.load_space(like)
     runs.check(check_units, space, match_particles)
-    without_pose = runs[0].rigid_pose is None and runs[0].body_pose is None
-    if without_pose and runs.scene['rigid_motion'] != 'none':
-        warnings.warn(
-            f'{raw_path}: its runs have no `pose` [T, 7] of the body: models of modes can be '
-            'trained on them, the soil field cannot',
-            stacklevel=2,
-        )
+    first = runs[0]
+    if runs.scene['rigid_motion'] != 'none' and first.rigid_pose is first.body_pose is None:
+        text = 'its runs have no `pose` of the body: models of modes can be trained on them'
+        warnings.warn(f'{raw_path}: {text}, the soil field cannot', stacklevel=2)
     if base is None:
         dealt = given_splits(runs, range(len(runs)), hold_out) if split is None else None
         dealt = dealt or split_cases(runs.cases, split or DEFAULT_SPLIT, seed, hold_out)
@@ -105,8 +102,7 @@ def convert(
         refuse_other_scene(like, base, runs)
         trained = {run_key(case) for case in base.get('cases', {}).get('train', [])}
         every = list(range(len(runs)))
-        known = [runs.cases[i] for i in every if run_key(runs.parameters(i)) in trained]
-        if known:
+        if known := [runs.cases[i] for i in every if run_key(runs.parameters(i)) in trained]:
             raise ValueError(f'{like}: was trained on the cases {known}; they are no test of it')
         dealt = given_splits(runs, every, need_train=False) or {'test': every}
         wide = space
@@ -117,7 +113,7 @@ def convert(
         if part
     }
     metadata = encode.make_metadata(parts, space, runs.world, base, frame_stride, packed)
-    contents = encode.Contents(parts, space, sampled, metadata, runs[0].grid)
+    contents = encode.Contents(parts, space, sampled, metadata, first.grid)
     encode.write(output_path, contents, overwrite)
     return metadata
 
@@ -185,8 +181,7 @@ def split_cases(
     if n_test + n_valid >= len(free):
         raise ValueError(
             f'{len(cases)} cases with {len(forced)} held out do not fill the shares '
-            f'{list(fractions)}; let the solver make more, or use --like to put them into '
-            'an existing subspace'
+            f'{list(fractions)}; make more, or use --like to put them into an existing subspace'
         )
     return {
         'train': sorted(free[n_test + n_valid :]),
@@ -211,11 +206,8 @@ def refuse_other_scene(like: str, base: dict[str, Any], runs: RawRuns) -> None:
         for cases in (trained, map(runs.parameters, range(len(runs))))
     )
     if versions and not new <= versions:
-        warnings.warn(
-            f'{like}: its runs are of solver version {sorted(versions)}, the raw runs of '
-            f'{sorted(new)}: errors of its models will include what changed between them',
-            stacklevel=2,
-        )
+        text = f'is of solver version {sorted(versions)}, the raw runs of {sorted(new)}'
+        warnings.warn(f'{like}: {text}: errors will include what changed', stacklevel=2)
 
 
 def run_key(parameters: dict[str, Any]) -> tuple[Any, str]:
@@ -256,14 +248,10 @@ def define_flags() -> None:
         'centering', 'configuration', subspace.CENTERINGS,
         'Subtracted before the PCA: the mean position of each particle, or one number.',
     )  # fmt: skip
-    flags.DEFINE_list(
-        'split', None, 'Shares of train, valid, test; default: as the runs say, else 0.8,0.1,0.1.'
-    )
+    flags.DEFINE_list('split', None, 'Shares of train, valid, test, if not as the runs say.')
     flags.DEFINE_integer('seed', 0, 'Seed of the split.')
     flags.DEFINE_list('hold_out', [], 'Case ids that go to the test split.')
-    flags.DEFINE_integer(
-        'frame_stride', 1, 'Fit the subspace to every n-th frame of a training run.'
-    )
+    flags.DEFINE_integer('frame_stride', 1, 'Fit to every n-th frame of a training run.')
     flags.DEFINE_float('max_memory_mb', 1024.0, 'Memory of the fit in MiB, beside one run.')
     flags.DEFINE_string(
         'like', None, 'Dataset whose subspace is used; runs that name no split go to test.'
@@ -272,9 +260,7 @@ def define_flags() -> None:
     flags.DEFINE_string(
         'cluster', None, 'Sum up the covariance on workers: local:4, slurm:64, tcp://host:port.'
     )
-    flags.DEFINE_bool(
-        'packed', True, "Records in a fifth of the bytes; --nopacked: for DeepMind's own reader."
-    )
+    flags.DEFINE_bool('packed', True, "Small records; --nopacked: for DeepMind's own reader.")
     flags.DEFINE_bool('rehash', False, 'First let the raw manifest follow its files.')
     define_check_flags()
 

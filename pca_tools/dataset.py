@@ -11,7 +11,6 @@ everything else bit for bit. Both are read alike.
 """
 
 import dataclasses
-import math
 import os
 from collections.abc import Sequence
 from typing import Any
@@ -133,24 +132,16 @@ def read_records_as_trajectories(path: str) -> list[Trajectory]:
 
 def _trajectory_from_record(record: tfrecord_io.SequenceRecord, where: str) -> Trajectory:
     particle_type = record.node_types(where)
-    shapes = {'position': (None, DIM), **FRAME_SERIES}
+    shapes = {'position': (len(particle_type), DIM), **FRAME_SERIES}
     if record.packed:
         try:
             series = _unpacked(record.packed, particle_type)
         except ValueError as error:
             raise ValueError(f'{where}: {error}') from error
     else:
-        widths = {name: math.prod(shape) for name, shape in shapes.items() if None not in shape}
-        widths['position'] = len(particle_type) * DIM
-        series = {
-            name: record.series(name, widths.get(name), where)
-            for name in shapes
-            if name in record.frames
-        }
+        series = {name: record.series(name, where) for name in shapes if name in record.frames}
     for name, values in series.items():
-        if values.shape[1] % math.prod(filter(None, shapes[name])):
-            raise ValueError(f'{where}: {name} has {values.shape[1]} values a frame')
-        series[name] = values.reshape(len(values), *(size or -1 for size in shapes[name]))
+        series[name] = tfrecord_io.shaped(values, shapes[name], f'{where}: {name}')
     return Trajectory(record.key, particle_type, **series)
 
 
@@ -181,23 +172,17 @@ def _packed(trajectory: Trajectory) -> dict[str, bytes]:
     rigid, scores = np.split(trajectory.position, [trajectory.n_rigid], axis=1)
     packed = {'scores': packing.pack_positions(scores, SCORE_RESOLUTION)}
     if rigid.size:
-        pose = trajectory.rigid_pose
-        shape = None if pose is None else _rigid_shape(rigid, pose)
-        name, values = ('rigid_position', rigid) if shape is None else ('rigid_shape', shape[None])
+        name, values, pose = 'rigid_position', rigid, trajectory.rigid_pose
+        if pose is not None:  # which may put its particles where they are in every frame
+            shape = rigid_fit.on_body(rigid[0], pose[0]).astype(np.float32)
+            if np.abs(rigid_fit.placed(shape, pose) - rigid).max() < POSE_TOLERANCE:
+                name, values = 'rigid_shape', shape[None]
         packed[name] = packing.pack_series(values)
     for name in FRAME_SERIES:
         values = getattr(trajectory, name)
         if values is not None:
             packed[name] = packing.pack_series(values)
     return packed
-
-
-def _rigid_shape(rigid: np.ndarray, pose: np.ndarray) -> np.ndarray | None:
-    """Returns the places [R, 3] of rigid particles on their body, None if its pose does not give
-    them back in every frame."""
-    shape = rigid_fit.on_body(rigid[0], pose[0]).astype(np.float32)
-    apart = np.abs(rigid_fit.placed(shape, pose) - rigid).max()
-    return shape if apart < POSE_TOLERANCE else None
 
 
 def trajectory_problems(trajectory: Trajectory, metadata: dict[str, Any]) -> list[str]:
@@ -209,20 +194,14 @@ def trajectory_problems(trajectory: Trajectory, metadata: dict[str, Any]) -> lis
     problems = []
     types, n_modes = trajectory.particle_type, metadata['mode_number']
     if trajectory.n_modes != n_modes or not np.all(types[-n_modes:] == MODE_PARTICLE_ID):
-        problems.append(
-            f'has {trajectory.n_modes} mode nodes (type {MODE_PARTICLE_ID}) among {len(types)}, '
-            f'mode_number says the last {n_modes}'
-        )
+        found = f'has {trajectory.n_modes} mode nodes (type {MODE_PARTICLE_ID}) among {len(types)}'
+        problems.append(f'{found}, mode_number says the last {n_modes}')
     elif not np.all(np.isin(types[:-n_modes], (RIGID_PARTICLE_ID, KINEMATIC_PARTICLE_ID))):
-        problems.append(
-            f'has node types {sorted(set(types.tolist()))}; rigid nodes must be '
-            f'{RIGID_PARTICLE_ID} or {KINEMATIC_PARTICLE_ID}'
-        )
+        wanted = f'rigid nodes must be {RIGID_PARTICLE_ID} or {KINEMATIC_PARTICLE_ID}'
+        problems.append(f'has node types {sorted(set(types.tolist()))}; {wanted}')
     frames, differ = metadata['sequence_length'] + 1, 'frames_of_runs' in metadata
     if trajectory.n_frames > frames or (trajectory.n_frames < frames and not differ):
-        problems.append(
-            f'has {trajectory.n_frames} frames, sequence_length + 1 = {frames} were expected'
-        )
+        problems.append(f'has {trajectory.n_frames} frames, sequence_length + 1 = {frames}')
     for name, key in (('force', 'rigid_body_force_mean'), ('step_context', 'context_mean')):
         values = getattr(trajectory, name)
         if values is None and key in metadata:
@@ -230,27 +209,20 @@ def trajectory_problems(trajectory: Trajectory, metadata: dict[str, Any]) -> lis
         elif values is not None and key not in metadata:
             problems.append(f'the record has {name} but metadata lacks {key}')
         elif values is not None and values.shape[-1] != len(metadata[key]):
-            problems.append(
-                f'{name} has {values.shape[-1]} values, the metadata {len(metadata[key])}'
-            )
-    return problems + _series_problems(trajectory)
-
-
-def _series_problems(trajectory: Trajectory) -> list[str]:
-    shapes = {'position': (len(trajectory.particle_type), DIM), **FRAME_SERIES}
+            held = len(metadata[key])
+            problems.append(f'{name} has {values.shape[-1]} values, the metadata {held}')
+    shapes = {'position': (len(types), DIM), **FRAME_SERIES}
     faults = (
         series_fault(values, name, trajectory.n_frames, shape)
         for name, shape in shapes.items()
         if (values := getattr(trajectory, name)) is not None
     )
-    return [fault for fault in faults if fault]
+    return problems + list(filter(None, faults))
 
 
-def series_fault(
-    values: np.ndarray, name: str, n_frames: int, of_frame: tuple, point: str = 'node'
-) -> str:
+def series_fault(values: np.ndarray, name: str, n_frames: int, of_frame: tuple) -> str:
     """Says what is wrong with a series of `n_frames` frames of a shape, where None is any number;
-    empty if nothing is. `point` is what a point of it is called."""
+    empty if nothing is."""
     expected = (n_frames, *of_frame)
     fits = values.ndim == len(expected) and all(
         wanted in (None, size) for wanted, size in zip(expected, values.shape)
@@ -259,18 +231,15 @@ def series_fault(
         sizes = ' x '.join('any' if size is None else str(size) for size in of_frame)
         shape = f'{values.shape}, {values.dtype}'
         return f'{name} has shape {shape} for {n_frames} frames of {sizes} values'
-    fault = non_finite(values, 'frame', *(point, 'axis')[1 - values.ndim :])
+    fault = non_finite(values, 'frame', *('point', 'axis')[1 - values.ndim :])
     return f'{name} holds {fault}' if fault else ''
 
 
 def write_split(path: str, trajectories: Sequence[Trajectory], packed: bool = False) -> int:
     """Writes runs as a TFRecord file, packed or plain (see above), whole or not at all; returns
-    their number. ValueError: shapes that do not fit each other, or NaN. OSError: it cannot be
-    written."""
+    their number. OSError: it cannot be written."""
     records = []
-    for index, run in enumerate(trajectories):
-        if problems := _series_problems(run):
-            raise ValueError(f'{path}: record {index}: {problems[0]}')
+    for run in trajectories:
         series = {name: getattr(run, name) for name in ('position', *FRAME_SERIES)}
         record = tfrecord_io.SequenceRecord.of(run.key, run.particle_type, {} if packed else series)
         records.append(dataclasses.replace(record, packed=_packed(run) if packed else {}))

@@ -71,19 +71,17 @@ def encode_runs(
     kept, encoded = space.truncated(n_modes), []
     for index in tqdm(indices, desc='encode', unit='run'):
         run = runs[index]
-        scores = space.encode(run.positions)
+        scores, maps = space.encode(run.positions), run.heights
         kept_scores = np.ascontiguousarray(scores[:, :n_modes])
-        maps = run.heights
-        encoded.append(
-            EncodedRun(
-                _trajectory(run, kept_scores, runs.scene),
-                {'case': run.case} | run.parameters | {'case': run.case},
-                projection_details(run.positions, kept, kept_scores),
-                _floors(run.positions, space, scores, n_modes),
-                ParticleSample.pack(run.positions[:, sampled], space.initial[sampled]),
-                None if maps is None else Heights.pack(maps, np.zeros(maps.shape[1:])),
-            )
+        made = EncodedRun(
+            _trajectory(run, kept_scores, runs.scene),
+            {'case': run.case} | run.parameters | {'case': run.case},
+            projection_details(run.positions, kept, kept_scores),
+            _floors(run.positions, space, scores, n_modes),
+            ParticleSample.pack(run.positions[:, sampled], space.initial[sampled]),
+            None if maps is None else Heights.pack(maps, np.zeros(maps.shape[1:])),
         )
+        encoded.append(made)
     return encoded
 
 
@@ -194,15 +192,12 @@ def refuse_occupied_output(output_path: str, overwrite: bool) -> None:
         return
     if files.MANIFEST_NAME not in held or METADATA_NAME not in held:
         raise ValueError(
-            f'{output_path}: is not empty and not a finished dataset; nothing was changed, name '
-            'another folder'
+            f'{output_path}: is not empty and not a finished dataset; name another folder'
         )
     foreign = held - set(files.check_manifest(output_path) or ()) - {files.MANIFEST_NAME}
     if foreign:
-        raise ValueError(
-            f'{output_path}: holds files that are not of the dataset ({sorted(foreign)[:5]}); '
-            'nothing was changed; move them away, or name another folder'
-        )
+        found = f'holds files that are not of the dataset ({sorted(foreign)[:5]})'
+        raise ValueError(f'{output_path}: {found}; move them away, or name another folder')
     if not overwrite:
         raise ValueError(f'{output_path}: holds a finished dataset; use --overwrite to replace it')
 

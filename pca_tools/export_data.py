@@ -17,6 +17,7 @@ Examples:
 """
 
 import functools
+import glob
 import os
 from collections.abc import Iterator, Sequence
 from typing import Any
@@ -35,8 +36,6 @@ def export_data(data_path: str, output_path: str, format_name: str, **chosen: An
     """Exports what of a dataset is `chosen` (`full_space_of`); returns what was done.
     FileNotFoundError: a folder or file is missing. ValueError: damaged data, data that the format
     cannot hold, or an output that is not empty."""
-    if os.path.isdir(output_path) and os.listdir(output_path):
-        raise ValueError(f'{output_path}: is not empty; name another folder')
     data = full_space_of(data_path, **chosen)
     if next(data.runs(), None) is None:
         raise ValueError(f'{data.source}: holds no runs of {chosen.get("splits", SPLITS)}')
@@ -44,8 +43,7 @@ def export_data(data_path: str, output_path: str, format_name: str, **chosen: An
     files.write_folder_atomically(
         output_path, lambda folder: module.write(folder, data), replace=False
     )
-    count = sum(1 for _ in data.runs())
-    return f'{output_path}: {count} runs of {data.source} as {module.TITLE}'
+    return f'{output_path}: {data.source} as {module.TITLE}'
 
 
 def full_space_of(
@@ -83,7 +81,7 @@ def full_space_of(
 
     if rollouts is not None:
         source = f'the rollouts {rollouts}'
-        records = functools.partial(_rollouts, _rollout_paths(rollouts), space.n_modes)
+        records = functools.partial(_rollouts, rollouts, space.n_modes)
     else:
         records = functools.partial(_records, data_path, metadata, splits)
 
@@ -123,17 +121,14 @@ def _records(data_path: str, metadata: dict[str, Any], splits: Sequence[str]) ->
                 yield name, split, case, run.position, run.particle_type, series
 
 
-def _rollout_paths(path: str) -> list[str]:
-    names = sorted(os.listdir(path)) if os.path.isdir(path) else []
-    held = [n for n in names if n.startswith('rollout_') and n.endswith('.npz')]
-    if os.path.isdir(path) and not held:
-        raise FileNotFoundError(f'{path}: holds no rollout_*.npz')
-    return [os.path.join(path, name) for name in held] or [path]
-
-
-def _rollouts(paths: Sequence[str], n_modes: int) -> Iterator[tuple]:
-    """Yields the same as `_records` of rollout files: given frames, then predicted ones."""
-    for path in paths:
+def _rollouts(rollouts: str, n_modes: int) -> Iterator[tuple]:
+    """Yields the same as `_records` of a rollout file or a folder of them: given frames, then
+    predicted ones."""
+    is_folder = os.path.isdir(rollouts)
+    paths = sorted(glob.glob(os.path.join(glob.escape(rollouts), 'rollout_*.npz')))
+    if is_folder and not paths:
+        raise FileNotFoundError(f'{rollouts}: holds no rollout_*.npz')
+    for path in paths if is_folder else [rollouts]:
         arrays = files.read_npz(path)
         needed = ('initial_positions', 'predicted_rollout', 'particle_types')
         if lacking := [key for key in needed if key not in arrays]:
@@ -141,10 +136,8 @@ def _rollouts(paths: Sequence[str], n_modes: int) -> Iterator[tuple]:
         first, predicted, types = (arrays[key] for key in needed)
         nodes, found = np.concatenate([first, predicted]), np.sum(types == dataset.MODE_PARTICLE_ID)
         if nodes.ndim != 3 or nodes.shape[1] != len(types) or found != n_modes:
-            raise ValueError(
-                f'{path}: {nodes.shape} positions of {found} modes do not fit the subspace of '
-                f'{n_modes}'
-            )
+            held = f'{nodes.shape} positions of {found} modes'
+            raise ValueError(f'{path}: {held} do not fit the subspace of {n_modes}')
         series = {}
         if 'predicted_forces' in arrays and 'initial_forces' in arrays:
             forces = [arrays['initial_forces'], arrays['predicted_forces']]

@@ -38,10 +38,8 @@ def read_json(path: str) -> Any:
     empty, too large, or not JSON (with line and column)."""
     refuse_git_lfs_pointer(path)
     if os.path.getsize(path) > MAX_JSON_BYTES:
-        raise ValueError(
-            f'{path}: has {os.path.getsize(path)} bytes, the limit of JSON files is '
-            f'{MAX_JSON_BYTES}'
-        )
+        size = os.path.getsize(path)
+        raise ValueError(f'{path}: has {size} bytes, the limit of JSON files is {MAX_JSON_BYTES}')
     try:
         with open(path, encoding='utf-8') as file:
             return json.load(file)
@@ -105,10 +103,8 @@ def opened_npz(path: str) -> Iterator[Iterator[tuple[str, Any, int]]]:
                 raise ValueError(f'unpacks to {total} bytes, more than the limit of {MAX_BYTES}')
             yield members(archive)
     except Exception as error:  # a damaged archive fails in many ways, none of which is ours
-        raise ValueError(
-            f'{path}: is not a complete .npz file of arrays ({_reason(error)}); copy or make it '
-            'again'
-        ) from error
+        reason = f'is not a complete .npz file of arrays ({_reason(error)})'
+        raise ValueError(f'{path}: {reason}; copy or make it again') from error
 
 
 def _refuse_lost_members(path: str, archive: zipfile.ZipFile) -> None:
@@ -231,9 +227,7 @@ def check_manifest(
         and isinstance(entry.get('sha256'), str)
         for entry in entries.values()
     ):
-        raise ValueError(
-            f'{path}: is not a manifest: "files" with bytes and sha256 of each is missing'
-        )
+        raise ValueError(f'{path}: is not a manifest: "files" with bytes and sha256 is missing')
     for name in entries if names is None else names:
         if name not in entries:
             raise ValueError(f'{path}: does not list {name}; listed are {sorted(entries)}')

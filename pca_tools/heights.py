@@ -47,31 +47,18 @@ def grid_of(parameters: Mapping[str, Any], heights: np.ndarray | None) -> Grid |
         if not (np.isfinite([x, z, dx, dz]).all() and dx > 0 and dz > 0):
             raise ValueError(f'corner {corner}, cell {cell}')
     except (KeyError, TypeError, ValueError, OverflowError, ZeroDivisionError) as error:
-        raise ValueError(
-            'parameters do not say where the height map lies: heights_corner_m [x, z], its '
-            'lower corner, and heights_cell_m [dx, dz], the sides of a cell, in metres'
-        ) from error
+        needed = 'heights_corner_m [x, z], its lower corner, and heights_cell_m [dx, dz], in metres'
+        text = f'parameters do not say where the height map lies: {needed}'
+        raise ValueError(text) from error
     return Grid((nx, nz), (x, z), (dx, dz))
-
-
-def grid_faults(found: Grid | None, held: Grid | None, whose: str) -> list[str]:
-    """Returns a sentence if a run has another map than `held`, that of `whose`."""
-    if found == held:
-        return []
-    new, old = (grid or 'none' for grid in (found, held))
-    return [
-        f'its height map is {new}, that of {whose} {old}: all runs of a dataset have one map or '
-        'none; record those without `heights` again, or take the array out of the others'
-    ]
 
 
 def reach(heights: np.ndarray | None, grid: Grid | None) -> float:
     """Returns the largest coordinate of a map, m; 0 without one."""
     if heights is None or grid is None:
         return 0.0
-    corner = np.array(grid.corner)
-    far = corner + np.multiply(grid.shape, grid.cell)
-    return float(max(np.abs(heights).max(), np.abs([corner, far]).max()))
+    far = np.add(grid.corner, np.multiply(grid.shape, grid.cell))
+    return float(max(np.abs(heights).max(), np.abs([grid.corner, far]).max()))
 
 
 class Heights(PackedRuns):

@@ -52,13 +52,10 @@ def import_data(
         raise ValueError(formats.NO_IMPORT[kind].format(folder=folder))
     name = name or os.path.basename(os.path.abspath(folder))
     if kind == formats.AUTHORS:
-        given = {'dt': dt, 'length_scale': length_scale, 'force_scale': force_scale}
-        usual = {'dt': None, 'length_scale': 1.0, 'force_scale': 1.0}
-        if other := [f'--{name}={value}' for name, value in given.items() if value != usual[name]]:
-            raise ValueError(
-                f'{folder}: its scores and forces are kept as they are, with their dt: leave out '
-                f'{", ".join(other)}'
-            )
+        given = ('dt', dt, None), ('length_scale', length_scale, 1), ('force_scale', force_scale, 1)
+        if other := [f'--{flag}={value}' for flag, value, usual in given if value != usual]:
+            kept = 'its scores and forces are kept as they are, with their dt'
+            raise ValueError(f'{folder}: {kept}: leave out {", ".join(other)}')
         return _import_authors(folder, output_path, name, body, 1 if up_axis is None else up_axis)
     data = formats.FORMATS[kind].read(folder, dt)
     body = body or full_space.body_motion(data)
@@ -66,7 +63,7 @@ def import_data(
     up, note = _up_axis(data, bounds) if up_axis is None else (up_axis, None)
     if lacking := _lacking(data, up, note):
         raise ValueError(f'{data.source}: does not say {", and ".join(lacking.values())}')
-    data.notes += [note] if note else []
+    data.notes += filter(None, [note])
     runs = _scaled(full_space.raw_mappings(data, body), length_scale, force_scale)
     raw_runs.write_raw(
         output_path, tqdm(runs, desc='import', unit='run'), data.dt, up_axis=up, body=body,
@@ -121,19 +118,17 @@ def _import_authors(
         files.write_json(os.path.join(temporary, METADATA_NAME), metadata)
         for split, part in splits.items():
             path = dataset.split_path(temporary, split)
-            kept = [_renumbered(run, key, rigid_motion) for key, run in enumerate(part)]
+            kept = []
+            for key, run in enumerate(part):
+                is_mode = run.particle_type == dataset.MODE_PARTICLE_ID
+                types = np.where(is_mode, run.particle_type, dataset.rigid_type(rigid_motion))
+                kept.append(dataclasses.replace(run, key=key, particle_type=types))
             listed[os.path.basename(path)] = {'records': dataset.write_split(path, kept)}
         files.write_manifest(temporary, listed)
 
     files.write_folder_atomically(output_path, fill, replace=False)
     counts = {split: len(part) for split, part in splits.items()}
     return f'{output_path}: a dataset of {counts} records of {folder}; scores cannot be decoded'
-
-
-def _renumbered(run: dataset.Trajectory, key: int, rigid_motion: str) -> dataset.Trajectory:
-    is_mode = run.particle_type == dataset.MODE_PARTICLE_ID
-    types = np.where(is_mode, dataset.MODE_PARTICLE_ID, dataset.rigid_type(rigid_motion))
-    return dataclasses.replace(run, key=key, particle_type=types.astype(np.int64))
 
 
 def _up_axis(data: full_space.FullSpaceData, bounds) -> tuple[int | None, str | None]:

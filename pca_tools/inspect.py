@@ -57,14 +57,8 @@ class Inspection:
     def runs(self) -> list[Trajectory]:
         return [run for part in self.splits.values() for run in part]
 
-    def ok(self, text: str) -> None:
-        self.findings.append((OK, text))
-
-    def warn(self, text: str) -> None:
-        self.findings.append((WARN, text))
-
-    def error(self, text: str) -> None:
-        self.findings.append((ERROR, text))
+    def add(self, level: str, text: str) -> None:
+        self.findings.append((level, text))
 
     @property
     def failed(self) -> bool:
@@ -81,19 +75,18 @@ def inspect_folder(folder: str) -> Inspection:
     _run(found, _check_metadata)
     if found.metadata is None:
         return found
-    _run(found, _check_manifest)
     for split in SPLITS:
         _run(found, _read_split, split)
-    if found.splits:
-        for check in (
-            _check_nodes, _check_frames, _check_case_ids, _check_duplicates, _check_statistics,
-            _check_motion, _check_truncation,
-        ):  # fmt: skip
-            _run(found, check)
-    else:
-        found.error(f'{folder}: holds no readable split')
-    _run(found, _check_kept, ParticleSample)
-    _run(found, _check_kept, Heights)
+    if not found.splits:
+        found.add(ERROR, f'{folder}: holds no readable split')
+    checks = (
+        _check_nodes, _check_frames, _check_case_ids, _check_duplicates, _check_statistics,
+        _check_motion, _check_truncation,
+    )  # fmt: skip
+    for check in checks if found.splits else ():
+        _run(found, check)
+    for kind in (ParticleSample, Heights):
+        _run(found, _check_kept, kind)
     _run(found, _check_subspace)
     _run(found, _check_pickles)
     return found
@@ -104,29 +97,23 @@ def _run(found: Inspection, check, *arguments) -> None:
     try:
         check(found, *arguments)
     except (ValueError, OSError) as error:
-        found.error(str(error))
+        found.add(ERROR, str(error))
 
 
 def _check_metadata(found: Inspection) -> None:
     found.metadata = dataset.read_metadata(found.folder)
-    found.ok('metadata.json has all keys, with possible values')
-
-
-def _check_manifest(found: Inspection) -> None:
+    found.add(OK, 'metadata.json has all keys, with possible values')
     entries = files.check_manifest(found.folder)
     if entries is None:
-        found.warn(
-            'no manifest.json: a file cut at a record boundary would not be noticed; compare the '
-            'record counts below with the source'
-        )
+        found.add(WARN, 'no manifest.json: a cut file may go unnoticed; compare the record counts')
     else:
-        found.ok(f'manifest: {len(entries)} files have the bytes and sha256 that it lists')
+        found.add(OK, f'manifest: {len(entries)} files have the bytes and sha256 that it lists')
 
 
 def _read_split(found: Inspection, split: str) -> None:
     path = dataset.split_path(found.folder, split)
     if not os.path.exists(path):
-        found.warn(f'there is no {split}.tfrecord')
+        found.add(WARN, f'there is no {split}.tfrecord')
         return
     runs = dataset.read_records_as_trajectories(path)
     problems = [
@@ -135,10 +122,10 @@ def _read_split(found: Inspection, split: str) -> None:
         for problem in dataset.trajectory_problems(run, found.metadata)
     ]
     for problem in problems:
-        found.error(problem)
+        found.add(ERROR, problem)
     if not problems:
         found.splits[split] = runs
-        found.ok(f'{split}: {len(runs)} records, complete, finite, as the metadata says')
+        found.add(OK, f'{split}: {len(runs)} records, complete, finite, as the metadata says')
 
 
 def _check_nodes(found: Inspection) -> None:
@@ -146,32 +133,23 @@ def _check_nodes(found: Inspection) -> None:
     promised = found.metadata.get('particles_rigid')
     counts = collections.Counter(run.n_rigid for run in found.runs)
     if promised is not None and set(counts) != {promised}:
-        held = ', '.join(
-            f'{runs} of {len(found.runs)} runs have {n}' for n, runs in sorted(counts.items())
-        )
-        found.warn(
-            f'particles_rigid says {promised} but {held}; the count of each record is the one '
-            'that is used'
-        )
+        every = len(found.runs)
+        held = ', '.join(f'{runs} of {every} runs have {n}' for n, runs in sorted(counts.items()))
+        found.add(WARN, f'particles_rigid says {promised} but {held}; that of each record is used')
     scene = found.metadata.get('scene')
     if scene is None:
-        found.warn('no scene in the metadata: what is prescribed follows from the node types')
+        found.add(WARN, 'no scene in the metadata: what is prescribed follows from the node types')
     elif 'bodies' not in scene:  # of several each has its own motion, and its types with it
         expected = dataset.rigid_type(scene['rigid_motion'])
         if wrong := sum(np.any(run.particle_type[: run.n_rigid] != expected) for run in found.runs):
-            found.error(
-                f'{wrong} runs have rigid nodes that are not of type {expected}, which '
-                f'rigid_motion {scene["rigid_motion"]!r} asks for; convert the raw runs again'
-            )
+            text = f'rigid nodes that are not of type {expected} ({scene["rigid_motion"]})'
+            found.add(ERROR, f'{wrong} runs have {text}; convert the raw runs again')
 
 
 def _check_frames(found: Inspection) -> None:
-    runs = found.runs
-    if repeated := sum(np.array_equal(run.position[0], run.position[1]) for run in runs):
-        found.warn(
-            f'{repeated} of {len(runs)} runs begin with the same frame twice: their first '
-            'velocity is 0, and frame 0 is not a state of its own'
-        )
+    if repeated := sum(np.array_equal(run.position[0], run.position[1]) for run in found.runs):
+        text = 'runs begin with the same frame twice: frame 0 is not a state of its own'
+        found.add(WARN, f'{repeated} of {len(found.runs)} {text}')
     still = [
         f'{split} {index}'
         for split, part in found.splits.items()
@@ -179,40 +157,32 @@ def _check_frames(found: Inspection) -> None:
         if np.array_equal(run.position[0], run.position[-1])
     ]
     if still:
-        found.warn(f'nothing moves from first to last frame in the records {still[:_MAX_NAMED]}')
+        found.add(WARN, f'nothing moves from first to last frame in {still[:_MAX_NAMED]}')
     for split, part in found.splits.items():
         if [run.key for run in part] != list(range(len(part))):
-            found.warn(
-                f'{split}: keys are {sorted({run.key for run in part})}, not the index of each '
-                'record; runs are told apart by their place in the file'
-            )
+            keys = sorted({run.key for run in part})
+            found.add(WARN, f'{split}: keys are {keys}, not the index of each record')
 
 
 def _check_case_ids(found: Inspection) -> None:
     """Case ids: repeated, shared by splits, or not as many as records."""
     cases = found.metadata.get('dataset_split')
     if cases is None:
-        found.warn('no dataset_split: which case a record is remains unknown')
+        found.add(WARN, 'no dataset_split: which case a record is remains unknown')
         return
     for split, part in found.splits.items():
         ids = cases.get(split, [])
         if len(ids) != len(set(ids)):
-            found.warn(
-                f'dataset_split.{split} has {len(ids)} ids but {len(set(ids))} different ones: it '
-                'was drawn with replacement'
-            )
+            text = f'{len(ids)} ids but {len(set(ids))} different ones: drawn with replacement'
+            found.add(WARN, f'dataset_split.{split} has {text}')
         if len(ids) != len(part):
-            found.warn(
-                f'{split} has {len(part)} records, dataset_split.{split} names {len(ids)} cases: '
-                'which record is which case cannot be told from it'
-            )
+            text = f'records but {len(ids)} ids in dataset_split: which case is which is unknown'
+            found.add(WARN, f'{split} has {len(part)} {text}')
     for first, second in itertools.combinations(SPLITS, 2):
         shared = sorted(set(cases.get(first, [])) & set(cases.get(second, [])), key=str)
         if shared:
-            found.error(
-                f'the cases {shared[:_MAX_NAMED]} are in {first} and {second}: errors on {second} '
-                'would flatter; split again'
-            )
+            text = f'are in {first} and {second}: errors on {second} would flatter; split again'
+            found.add(ERROR, f'the cases {shared[:_MAX_NAMED]} {text}')
 
 
 def _check_duplicates(found: Inspection) -> None:
@@ -224,11 +194,11 @@ def _check_duplicates(found: Inspection) -> None:
     for same in repeats:
         text = ' = '.join(f'{split} {index}' for split, index in same)
         if len({split for split, _ in same}) > 1:
-            found.error(f'the same run lies in different splits: {text}; remove it from one')
+            found.add(ERROR, f'the same run lies in different splits: {text}; remove it from one')
         else:
-            found.warn(f'the same run lies in the file more than once: {text}')
+            found.add(WARN, f'the same run lies in the file more than once: {text}')
     if not repeats:
-        found.ok(f'all {len(found.runs)} runs differ')
+        found.add(OK, f'all {len(found.runs)} runs differ')
 
 
 def _check_statistics(found: Inspection) -> None:
@@ -236,9 +206,7 @@ def _check_statistics(found: Inspection) -> None:
     held = found.metadata
     for key in ('vel_std', 'acc_std', 'rigid_body_force_std', 'context_std'):
         if zero := [axis for axis, value in enumerate(held.get(key, [])) if value == 0]:
-            found.warn(
-                f'{key} is 0 at {zero}: constant there; our training floors it, others must, too'
-            )
+            found.add(WARN, f'{key} is 0 at {zero}: constant there; what divides by it floors it')
     if 'train' not in found.splits:
         return
     # Statistics are of the runs that the subspace was fitted on: only a dataset that trains on just
@@ -247,57 +215,53 @@ def _check_statistics(found: Inspection) -> None:
     whole = cases is not None and (
         fitted is None or sorted(fitted) == sorted(str(case.get('case')) for case in cases)
     )
-    agree = True
+    errors = []
     for key, values in encode.motion_statistics(found.splits['train']).items():
         if key not in held:  # of the torque, which datasets without its statistics may have
-            found.warn(f'the training records have {key} {values}, the metadata lacks it')
+            found.add(WARN, f'the training records have {key} {values}, the metadata lacks it')
             continue
         mean, promised = np.array(values), np.array(held[key])
         scale = np.linalg.norm(held[f'{key.rsplit("_", 1)[0]}_std'])
         ratio = scale / max(np.linalg.norm(mean), 1e-30)
         if whole and np.max(np.abs(mean - promised)) > STATISTICS_TOLERANCE * max(scale, 1e-12):
-            agree = False
-            found.error(f'{key} is {held[key]}, the training records give {values}; convert again')
+            errors.append(f'is {held[key]}, the training records give {values}; convert again')
         elif key.endswith('_std') and not 1 / STATISTICS_FACTOR < ratio < STATISTICS_FACTOR:
-            agree = False
-            found.error(
-                f'{key} is {ratio:.3g} times that of the training records (1 / dt is '
-                f'{1 / held["dt"]:.3g}): velocities and accelerations are per frame, not divided '
-                'by dt'
-            )
-    if agree:
+            per_second = f'(1 / dt is {1 / held["dt"]:.3g}): they are per frame, not per second'
+            errors.append(f'is {ratio:.3g} times that of the training records {per_second}')
+        else:
+            continue
+        found.add(ERROR, f'{key} {errors[-1]}')
+    if not errors:
         text = 'statistics agree with the training records' + ('' if whole else ' in size')
         if fitted is not None and not whole:
             text += f': they are of the {len(fitted)} runs that the subspace was fitted on'
-        found.ok(text)
+        found.add(OK, text)
 
 
 def _check_motion(found: Inspection) -> None:
     dt = found.metadata['dt']
     if not PLAUSIBLE_DT[0] <= dt <= PLAUSIBLE_DT[1]:
-        found.error(f'dt is {dt} s per frame, outside {PLAUSIBLE_DT}; is it in frames per second?')
+        found.add(ERROR, f'dt is {dt} s, outside {PLAUSIBLE_DT}; is it in frames per second?')
     moved = [run for run in found.runs if run.n_rigid]
     if not moved:
         return
     bodies = [run.position[:, : run.n_rigid] for run in moved]
     fastest = max(float(np.linalg.norm(np.diff(b, axis=0), axis=-1).max()) for b in bodies) / dt
     if fastest > PLAUSIBLE_SPEED:
-        found.error(
-            f'the rigid body reaches {fastest:.3g} m/s with dt = {dt} s: dt or the unit of '
-            'length is wrong'
-        )
+        text = f'reaches {fastest:.3g} m/s with dt = {dt} s: dt or the unit of length is wrong'
+        found.add(ERROR, f'the rigid body {text}')
     bounds = found.metadata['bounds']
     low, high = np.array(bounds).T
     if outside := sum(bool(np.any((body < low) | (body > high))) for body in bodies):
-        found.warn(f'in {outside} of {len(moved)} runs rigid points leave the bounds {bounds}')
+        found.add(WARN, f'in {outside} of {len(moved)} runs rigid points leave the bounds {bounds}')
     points = [body['points'] for body in found.metadata.get('scene', {}).get('bodies', [])]
     worst = max(rigid_misfit(run, points) for run in moved)
     if worst > RIGID_TOLERANCE:
-        found.error(f'the rigid body changes its shape by up to {1e3 * worst:.3g} mm (RMS)')
+        found.add(ERROR, f'the rigid body changes its shape by up to {1e3 * worst:.3g} mm (RMS)')
     else:
-        found.ok(f'the rigid body keeps its shape within {1e3 * worst:.2g} mm (RMS)')
+        found.add(OK, f'the rigid body keeps its shape within {1e3 * worst:.2g} mm (RMS)')
     if forceless := sum(run.force is not None and not np.any(run.force) for run in found.runs):
-        found.warn(f'{forceless} runs have no force at any frame')
+        found.add(WARN, f'{forceless} runs have no force at any frame')
 
 
 def rigid_misfit(run: Trajectory, points: Sequence[int] = ()) -> float:
@@ -330,11 +294,11 @@ def _check_truncation(found: Inspection) -> None:
     ]
     if far:
         more = f' and {len(far) - _MAX_NAMED} more' if len(far) > _MAX_NAMED else ''
-        found.warn(
-            f'the modes leave {1e3 * usual:.3g} mm (RMS) of the training runs, {1e3 * worst:.3g} '
-            f'mm of the worst, but far more of {", ".join(far[:_MAX_NAMED])}{more}: these runs do '
-            'something that no training run does; add such runs to train'
-        )
+        found.add(
+            WARN, f'the modes leave {1e3 * usual:.3g} mm (RMS) of the training runs, '
+            f'{1e3 * worst:.3g} mm of the worst, but far more of {", ".join(far[:_MAX_NAMED])}'
+            f'{more}: these runs do something that no training run does; add such runs to train'
+        )  # fmt: skip
 
 
 def _check_kept(found: Inspection, kind: type[PackedRuns]) -> None:
@@ -348,15 +312,13 @@ def _check_kept(found: Inspection, kind: type[PackedRuns]) -> None:
             lengths.append(len(values))
             low, high = min(low, float(values.min())), max(high, float(values.max()))
         if lengths != [-(-run.n_frames // kept.frame_stride) for run in runs]:
-            found.error(f'{path}: holds other runs than {split}.tfrecord; convert again')
+            found.add(ERROR, f'{path}: holds other runs than {split}.tfrecord; convert again')
         else:
             good.append(f'{split} {os.path.getsize(path) / len(runs) / 1e3:.1f} kB')
     if good:
         span = f', {low:.3f} to {high:.3f} m high' * (kind is Heights)
-        found.ok(
-            f'{kind.TITLE}s ({kept}{span}, every {kept.frame_stride} frames, to '
-            f'{5e2 * kept.resolution:.2g} mm), a run: ' + ', '.join(good)
-        )
+        steps = f'every {kept.frame_stride} frames, to {5e2 * kept.resolution:.2g} mm'
+        found.add(OK, f'{kind.TITLE}s ({kept}{span}, {steps}), a run: {", ".join(good)}')
 
 
 def _check_subspace(found: Inspection) -> None:
@@ -372,40 +334,35 @@ def _check_subspace(found: Inspection) -> None:
         ('n_soil', held.get('n_soil'), space.n_soil),
     ):
         if promised != is_there:
-            found.error(
-                f'{name}: {what} is {is_there}, the metadata says {promised}; the scores belong '
-                'to another subspace'
-            )
+            text = f'is {is_there}, the metadata says {promised}: the scores are of another one'
+            found.add(ERROR, f'{name}: {what} {text}')
     others = [*found.of_split('cases', 'valid'), *found.of_split('cases', 'test')]
     if seen := {str(case.get('case')) for case in others} & set(space.runs):
-        found.error(f'{name}: was fitted on {sorted(seen)}, which are not training runs')
+        found.add(ERROR, f'{name}: was fitted on {sorted(seen)}, which are not training runs')
     else:
-        found.ok(
-            f'{name}: {space.n_modes} modes of N = {space.n_soil}, fitted on training runs only'
+        found.add(
+            OK, f'{name}: {space.n_modes} modes of N = {space.n_soil}, fitted on training runs only'
         )
     gap = space.gaps[space.n_modes - 1] if len(space.gaps) >= space.n_modes else math.inf
     if gap < CLUSTER_GAP:
-        found.warn(
-            f'{name}: singular values {space.n_modes} and {space.n_modes + 1} differ by only '
-            f'{100 * gap:.1f} %: the last mode may turn from fit to fit'
-        )
+        text = f'differ by only {100 * gap:.1f} %: the last mode may turn from fit to fit'
+        found.add(WARN, f'{name}: singular values {space.n_modes} and {space.n_modes + 1} {text}')
 
 
 def _check_pickles(found: Inspection) -> None:
-    vectors, values = (
-        os.path.join(found.folder, name)
-        for name in (legacy_pickles.EIGENVECTORS_NAME, legacy_pickles.EIGENVALUES_NAME)
-    )
-    try:
-        if os.path.exists(vectors):
-            files.refuse_git_lfs_pointer(vectors)
-    except ValueError as error:
-        found.warn(f'{error}; scores cannot be decoded, errors are given in the subspace')
-    try:
-        if os.path.exists(values):
-            found.n_soil = len(legacy_pickles.read_array(values))  # one a particle
-    except (ValueError, OSError) as error:
-        found.warn(str(error))
+    for name, lost in (
+        (legacy_pickles.EIGENVECTORS_NAME, '; scores cannot be decoded'),
+        (legacy_pickles.EIGENVALUES_NAME, ''),
+    ):
+        path = os.path.join(found.folder, name)
+        if not os.path.exists(path):
+            continue
+        try:
+            files.refuse_git_lfs_pointer(path)
+            if name == legacy_pickles.EIGENVALUES_NAME:
+                found.n_soil = len(legacy_pickles.read_array(path))  # one a particle
+        except (ValueError, OSError) as error:
+            found.add(WARN, f'{error}{lost}')
 
 
 def report(found: Inspection) -> str:
@@ -426,8 +383,8 @@ def _contents(found: Inspection) -> str:
     scene = held.get('scene')
     about = 'no scene given'
     if scene:
-        about = f'scene {scene.get("name", "unnamed")}, rigid motion {scene["rigid_motion"]}, '
-        about += f'{AXES[scene.get("up_axis", 1)]} up'
+        name, up = scene.get('name', 'unnamed'), AXES[scene.get('up_axis', 1)]
+        about = f'scene {name}, rigid motion {scene["rigid_motion"]}, {up} up'
     size = (
         f'dt {held["dt"]:.6g} s, {held["sequence_length"]} + 1 frames '
         f'({held["sequence_length"] * held["dt"]:.3g} s), r = {held["mode_number"]} modes, '
@@ -435,20 +392,14 @@ def _contents(found: Inspection) -> str:
     )
     rows = []
     for split, part in found.splits.items():
-        counts = {
-            name: sum(getattr(run, name) is not None for run in part)
-            for name in dataset.FRAME_SERIES
-            if name != 'step_context'
-        }
-        rows.append((
-            split, len(part), ', '.join(map(str, sorted({run.n_rigid for run in part}))),
-            'no' if part[0].step_context is None else part[0].step_context.shape[1],
-            ', '.join(
-                name + f' ({count} runs)' * (count < len(part))
-                for name, count in counts.items()
-                if count
-            ),
-        ))  # fmt: skip
+        series = []
+        for name in dataset.FRAME_SERIES:
+            count = sum(getattr(run, name) is not None for run in part)
+            if count and name != 'step_context':
+                series.append(name + f' ({count} runs)' * (count < len(part)))
+        rigid = ', '.join(map(str, sorted({run.n_rigid for run in part})))
+        context = 'no' if part[0].step_context is None else part[0].step_context.shape[1]
+        rows.append((split, len(part), rigid, context, ', '.join(series)))
     header = ('split', 'runs', 'R', 'context', 'series')
     return f'{about}\n{size}\n\n' + markdown.table(header, rows, aligned=True)
 
@@ -458,10 +409,9 @@ def _kinds(found: Inspection) -> str:
     modes keep."""
     places = collections.defaultdict(list)  # (kind, split) -> records
     for split, part in found.splits.items():
-        cases = found.of_split('cases', split)
+        cases = found.of_split('cases', split) + [{}] * len(part)
         for index in range(len(part)):
-            kind = cases[index].get('kind', 'not stated') if index < len(cases) else 'not stated'
-            places[str(kind), split].append(index)
+            places[str(cases[index].get('kind', 'not stated')), split].append(index)
             places['all', split].append(index)
 
     def cell(kind: str, split: str) -> str:
@@ -473,10 +423,8 @@ def _kinds(found: Inspection) -> str:
         return f'{len(chosen)} ({100 * share:.2f} %)'
 
     kinds = sorted({kind for kind, _ in places} - {'all'})
-    rows = [
-        (kind, *(cell(kind, split) for split in found.splits))
-        for kind in kinds + ['all'] * (len(kinds) > 1)
-    ]
+    kinds += ['all'] * (len(kinds) > 1)
+    rows = [(kind, *(cell(kind, split) for split in found.splits)) for kind in kinds]
     return markdown.table(('runs (motion energy kept)', *found.splits), rows, aligned=True)
 
 

@@ -183,15 +183,24 @@ def metadata_problems(metadata: Any) -> list[str]:
     if missing := [key for key in _REQUIRED if key not in metadata]:
         return [f'lacks {", ".join(missing)}']
     problems = problems_of(metadata, _CHECKS)
-    scene = metadata.get('scene', {'rigid_motion': 'none'})
-    problems += scene_problems(scene)
-    if problems:
+    if problems := problems + scene_problems(metadata.get('scene', {'rigid_motion': 'none'})):
         return problems
     for name in ('rigid_body_force', 'rigid_body_torque', 'context'):
         means, deviations = (metadata.get(f'{name}_{kind}', []) for kind in ('mean', 'std'))
         if len(means) != len(deviations):
             problems.append(f'{name}_mean has {len(means)} values but {name}_std {len(deviations)}')
-    return problems + (_disagreements(metadata) if 'scene' in metadata else [])
+    if 'scene' not in metadata:
+        return problems
+    scene = metadata['scene']
+    names, context = scene.get('context_names', []), metadata.get('context_mean', [])
+    if len(names) != len(context):
+        problems.append(f'scene.context_names has {len(names)} names, context_mean {len(context)}')
+    if bool(scene.get('force')) != ('rigid_body_force_mean' in metadata):
+        problems.append('scene.force and the presence of rigid_body_force_mean disagree')
+    count = metadata.get('particles_rigid', math.inf)
+    if beyond := [edge for edge in scene.get('rigid_edges', []) if max(edge) >= count]:
+        problems.append(f'scene.rigid_edges has {beyond[0]}, two of {count} rigid particles')
+    return problems
 
 
 def scene_problems(scene: Any) -> list[str]:
@@ -199,23 +208,6 @@ def scene_problems(scene: Any) -> list[str]:
     if not isinstance(scene, dict):
         return [f'scene is {short(scene)}, an object was expected']
     return problems_of({'rigid_motion': None, **scene}, _SCENE_CHECKS, 'scene.')
-
-
-def _disagreements(metadata: dict[str, Any]) -> list[str]:
-    scene, problems = metadata['scene'], []
-    names, context = scene.get('context_names', []), metadata.get('context_mean', [])
-    if len(names) != len(context):
-        problems.append(
-            f'scene.context_names has {len(names)} names but context_mean has {len(context)} values'
-        )
-    if bool(scene.get('force')) != ('rigid_body_force_mean' in metadata):
-        problems.append('scene.force and the presence of rigid_body_force_mean disagree')
-    count = metadata.get('particles_rigid', math.inf)
-    if beyond := [edge for edge in scene.get('rigid_edges', []) if max(edge) >= count]:
-        problems.append(
-            f'scene.rigid_edges has {beyond[0]}, two of {count} rigid particles were expected'
-        )
-    return problems
 
 
 def short(value: Any) -> str:

@@ -43,10 +43,8 @@ def pack_steps(positions: np.ndarray, rest: np.ndarray, resolution: float) -> by
     farther from rest than a step count can hold."""
     offset = (np.asarray(positions, np.float64) - rest) / resolution
     if not np.all(np.abs(offset) < _MAX_STEPS):
-        raise ValueError(
-            f'a point is {np.abs(offset).max() * resolution:.3g} m from its rest place, which '
-            f'steps of {resolution} m cannot hold'
-        )
+        far = f'a point is {np.abs(offset).max() * resolution:.3g} m from its rest place'
+        raise ValueError(f'{far}, which steps of {resolution} m cannot hold')
     steps = np.rint(offset).astype(np.int32).T  # axis, point, frame
     change = np.diff(steps, axis=-1, prepend=np.int32(0))
     return _compressed(((change << 1) ^ (change >> 31)).astype('<u4'))
@@ -70,9 +68,8 @@ def pack_positions(positions: np.ndarray, resolution: float) -> bytes:
 
 def unpack_positions(data: bytes) -> np.ndarray:
     """Returns float32 [T, P, 3], packed again the same bytes; ValueError for damaged ones."""
-    n_frames, points, resolution = _head(_STEPS_HEAD, data)
+    n_frames, points, resolution = _head(_STEPS_HEAD, data, axes=3)
     start = _STEPS_HEAD.size + 12 * points
-    _refuse_huge(n_frames, 3 * points)
     if len(data) < start or not 0 < resolution < math.inf:
         raise ValueError('packed positions are damaged')
     first = np.frombuffer(data[_STEPS_HEAD.size : start], '<f4')
@@ -91,7 +88,6 @@ def pack_series(values: np.ndarray) -> bytes:
 def unpack_series(data: bytes) -> np.ndarray:
     """Returns float32 [T, values]; ValueError for damaged bytes."""
     n_frames, values = _head(_SERIES_HEAD, data)
-    _refuse_huge(n_frames, values)
     rows = _decompressed(data[_SERIES_HEAD.size :], n_frames * values).view('<f4')
     return np.ascontiguousarray(rows.reshape(values, n_frames).T.astype(np.float32))
 
@@ -115,15 +111,13 @@ def _decompressed(data: bytes, count: int) -> np.ndarray:
     return np.ascontiguousarray(together.T).view('<u4').ravel()
 
 
-def _head(layout: struct.Struct, data: bytes) -> tuple:
+def _head(layout: struct.Struct, data: bytes, axes: int = 1) -> tuple:
     if len(data) < layout.size:
         raise ValueError(f'packed numbers end after {len(data)} bytes')
-    return layout.unpack_from(data)
-
-
-def _refuse_huge(n_frames: int, values: int) -> None:
-    if not 0 < n_frames * values <= _MAX_VALUES:
-        raise ValueError(f'packed numbers promise {n_frames} frames of {values}')
+    n_frames, points, *more = layout.unpack_from(data)
+    if not 0 < n_frames * points * axes <= _MAX_VALUES:
+        raise ValueError(f'packed numbers promise {n_frames} frames of {points} x {axes}')
+    return n_frames, points, *more
 
 
 class PackedRuns(Sequence):
@@ -183,10 +177,10 @@ class PackedRuns(Sequence):
         made before there were any). ValueError: it is damaged, or not the one in the manifest."""
         path = cls.path_of(folder, split)
         if not os.path.exists(path):
-            raise FileNotFoundError(
-                f'{path}: this dataset holds no {cls.TITLE}; convert it again, from raw runs that '
-                'have it'
+            text = (
+                f'this dataset holds no {cls.TITLE}; convert it again, from raw runs that have it'
             )
+            raise FileNotFoundError(f'{path}: {text}')
         files.check_manifest(folder, [os.path.basename(path)])
         return cls(path)
 

@@ -23,7 +23,7 @@ from pca_tools import command, dataset, files
 from pca_tools.metadata import AXES
 from pca_tools.raw_runs import RawRuns
 from pca_tools.storage import markdown
-from pca_tools.subspace import DIM, SUBSPACE_NAME, Subspace
+from pca_tools.subspace import DIM, SUBSPACE_NAME, Subspace, centred_rows
 
 # Of kernel PCA: gamma of the RBF kernel (1/m^2), ridges of the pre-image, a row each; rows (frame x
 # axis) that it is fitted on.
@@ -101,13 +101,9 @@ def compare_reductions(space: Subspace, runs: RawRuns, max_rows: int) -> list[di
     training = [i for i, case in enumerate(runs.cases) if str(case) in space.runs]
     held_out = [i for i in range(len(runs)) if i not in training]
     if not training or not held_out:
-        raise ValueError(
-            f'{runs.folder}: has {len(training)} training and {len(held_out)} held-out runs of '
-            'this subspace, both are needed'
-        )
-    train, test = (
-        _thinned_rows(space, runs, indices, max_rows) for indices in (training, held_out)
-    )
+        counts = f'{len(training)} training and {len(held_out)} held-out runs of this subspace'
+        raise ValueError(f'{runs.folder}: has {counts}, both are needed')
+    train, test = (_thinned_rows(space, runs, part, max_rows) for part in (training, held_out))
     components = space.components
     pca = decomposition.PCA(space.n_modes, svd_solver='arpack', random_state=0)
     # How each is fitted, encodes and decodes.
@@ -118,9 +114,8 @@ def compare_reductions(space: Subspace, runs: RawRuns, max_rows: int) -> list[di
         'PCA of the thinned frames': (pca.fit, pca.transform, pca.inverse_transform),
     }  # fmt: skip
     for alpha in ALPHAS:
-        kernel = decomposition.KernelPCA(
-            space.n_modes, kernel='rbf', gamma=GAMMA, fit_inverse_transform=True, alpha=alpha
-        )
+        settings = {'kernel': 'rbf', 'gamma': GAMMA, 'fit_inverse_transform': True}
+        kernel = decomposition.KernelPCA(space.n_modes, alpha=alpha, **settings)
         name = f'kernel PCA of the same (RBF {GAMMA:g}, ridge {alpha:g})'
         methods[name] = kernel.fit, kernel.transform, kernel.inverse_transform
     rows = []
@@ -148,7 +143,7 @@ def _thinned_rows(space: Subspace, runs: RawRuns, indices: list[int], max_rows: 
         positions = runs[index].positions
         frames = max(max_rows // (DIM * len(indices)), 2)
         chosen = np.unique(np.linspace(0, len(positions) - 1, frames).astype(int))
-        rows.append((positions[chosen] - space.mean).transpose(0, 2, 1).reshape(-1, space.n_soil))
+        rows.append(centred_rows(positions[chosen], space.mean))
     return np.concatenate(rows)
 
 

@@ -12,7 +12,7 @@ import json
 import math
 import os
 import warnings
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
 from typing import Any
 
 import numpy as np
@@ -57,10 +57,16 @@ class RawRun(FrameSeries):
     context: np.ndarray  # float64 [C] global context values
     parameters: dict[str, Any]  # all parameters of the case and of the solver
     heights: np.ndarray | None = None  # float32 [T, nx, nz] of the soil over the bin, metres
+    grid: Grid | None = None  # where these lie
 
     @property
-    def grid(self) -> Grid | None:
-        return heights.grid_of(self.parameters, self.heights)
+    def alike(self) -> 'Alike':
+        """What all runs of a dataset share: N, whether they have a torque and a pose, the grid."""
+        n_soil, pose = self.positions.shape[1], self.rigid_pose
+        return n_soil, self.torque is not None, pose is not None, self.grid
+
+
+Alike = tuple[int, bool, bool, Grid | None]
 
 
 class RawRuns(Sequence):
@@ -75,25 +81,22 @@ class RawRuns(Sequence):
             raise FileNotFoundError(f'{folder}: no such folder of raw runs')
         manifest = files.read_json(path)
         raise_faults(path, manifest_faults(manifest))
+        self.world = {key: manifest[key] for key in ('scene', 'bounds', 'dt')}
         self.scene: dict[str, Any] = manifest['scene']  # as the solver wrote it
         self.dt: float = manifest['dt']  # s per frame
         self.bounds: list[list[float]] = manifest['bounds']  # [[low, high]] * 3, m
         self._entries = manifest['runs']
         self.cases = [entry['case'] for entry in self._entries]  # ids in manifest order
         self._verified: set[int] = set()
-        self._first: tuple[tuple[int, ...], Grid | None] | None = None
+        self._first: Alike | None = None
         self._reference: np.ndarray | None = None
         self._orders: dict[int, np.ndarray] = {}
-
-    @property
-    def world(self) -> dict[str, Any]:
-        return {'scene': self.scene, 'bounds': self.bounds, 'dt': self.dt}
 
     def __len__(self) -> int:
         return len(self._entries)
 
     def __iter__(self) -> Iterator[RawRun]:  # that of Sequence takes an IndexError for the end
-        return (self[index] for index in range(len(self)))
+        return map(self.__getitem__, range(len(self)))
 
     def __getitem__(self, index: int) -> RawRun:  # type: ignore[override]
         """Opens run `index`; ValueError, with file, frame and point: it differs from the manifest,
@@ -105,40 +108,19 @@ class RawRuns(Sequence):
             if files.fingerprint(path) != {key: entry[key] for key in ('bytes', 'sha256')}:
                 raise ValueError(
                     f'{path}: differs from the manifest ({os.path.getsize(path)} bytes, '
-                    f'{entry["bytes"]} listed); copy it again from where it is whole, or, if it '
-                    'was changed on purpose, let the manifest follow: '
-                    f'lts convert --rehash --raw_path={self.folder}'
+                    f'{entry["bytes"]} listed); copy it again or, if that is on purpose, let the '
+                    f'manifest follow: lts convert --rehash --raw_path={self.folder}'
                 )
             self._verified.add(index)
-        arrays = files.read_npz(path)
-        if faults := array_faults(arrays, self.scene):
-            raise ValueError(f'{path}: ' + '; '.join(faults))
-        run = self._run_of(arrays, entry['case'])
-        shape = (run.positions.shape[1], run.torque is not None, run.rigid_pose is not None)
-        self._first = self._first or (shape, run.grid)
-        if shape != self._first[0]:
-            raise ValueError(
-                f'{path}: has (particles, torque, pose) {shape}, the runs before it '
-                f'{self._first[0]}; a dataset is of one bin: runs of another one need a folder of '
-                'their own'
-            )
-        raise_faults(path, heights.grid_faults(run.grid, self._first[1], 'the runs before it'))
+        run = _read_run(path, self.scene, entry['case'])
+        self._first = self._first or run.alike
+        if problem := unlike(run, self._first):
+            raise ValueError(f'{path}: {problem}')
         if self._reference is None:
             return run
         if index not in self._orders:
             self._orders[index] = matching.match_particles(run.positions[0], self._reference)
         return dataclasses.replace(run, positions=run.positions[:, self._orders[index]])
-
-    def _run_of(self, arrays: dict[str, np.ndarray], case: int | str) -> RawRun:
-        series = {name: np.asarray(arrays[name], np.float32) for name in SERIES if name in arrays}
-        if 'pose' in series:
-            series['rigid_pose'] = series.pop('pose')
-        if not self.scene['force']:
-            series['force'] = None
-        if self.scene['rigid_motion'] == 'none':
-            series['rigid_positions'] = np.zeros((len(series['positions']), 0, 3), np.float32)
-        parameters, context = _read_context(arrays, self.scene)
-        return RawRun(case=case, context=context, parameters=parameters, **series)
 
     def parameters(self, index: int) -> dict[str, Any]:
         """Returns the parameters of run `index`, from the manifest where it lists them, with its
@@ -170,22 +152,20 @@ class RawRuns(Sequence):
             except (ValueError, OSError) as error:
                 faults.append(str(error))
                 continue
-            reach = heights.reach(run.heights, run.grid)
-            extent.add(run.positions, run.rigid_positions, self.dt, reach)
+            extent.add(run, self.dt)
             reference = reference or (run.positions[0], f'case {run.case}')
             if fault := matching.order_fault(run.positions[0], *reference):
                 faults.append(f'case {run.case}: {fault}')
         if np.all(np.isfinite(extent.low)):
             if check_units:
                 faults += unit_faults(extent, self.bounds, self.dt)
-            axis, reason = infer_up_axis(extent, self.bounds, self.scene.get('gravity'))
+            gravity = self.scene.get('gravity')
+            axis, reason = infer_up_axis(extent.low, extent.high, self.bounds, gravity)
             stated = self.scene['up_axis']
             if axis not in (None, stated):
-                warnings.warn(
-                    f'{self.folder}: scene.up_axis is {stated} ({AXES[stated]}) but {AXES[axis]} '
-                    f'looks like the upward axis: {reason}',
-                    stacklevel=2,
-                )
+                looks = f'{AXES[axis]} looks like the upward axis: {reason}'
+                text = f'{self.folder}: scene.up_axis is {stated} ({AXES[stated]}) but {looks}'
+                warnings.warn(text, stacklevel=2)
         raise_faults(self.folder, faults)
 
 
@@ -216,7 +196,8 @@ def raise_faults(where: str, faults: Sequence[str]) -> None:
         raise ValueError(f'{where}: {len(faults)} faults, nothing was converted{listed}{more}')
 
 
-def manifest_faults(manifest: Any) -> list[str]:
+def manifest_faults(manifest: Any, entry_keys: Set[str] = ENTRY_KEYS) -> list[str]:
+    """Returns what is wrong with a manifest whose runs must be listed with `entry_keys`."""
     if not isinstance(manifest, dict) or not {'scene', 'dt', 'bounds', 'runs'} <= manifest.keys():
         return ['is not a manifest of raw runs (scene, dt, bounds, runs)']
     scene, runs = manifest['scene'], manifest['runs']
@@ -226,16 +207,16 @@ def manifest_faults(manifest: Any) -> list[str]:
     if not isinstance(runs, list) or not runs:
         return [*faults, 'lists no runs; let the solver finish at least one']
     wrong = [
-        f'a run is listed as {metadata.short(entry)}, not with {sorted(ENTRY_KEYS)}; '
+        f'a run is listed as {metadata.short(entry)}, not with {sorted(entry_keys)}; '
         '`lts convert --rehash` fills in what follows from the files'
         for entry in runs
         if not isinstance(entry, dict)
-        or ENTRY_KEYS - entry.keys()
+        or entry_keys - entry.keys()
         or not isinstance(entry['file'], str)
-        or not is_case(entry['case'])
+        or not is_case(entry.get('case', 0))
         or not isinstance(entry.get('parameters', {}), dict)
     ]
-    return faults + (wrong or repeated_cases([entry['case'] for entry in runs]))
+    return faults + (wrong or repeated_cases([e['case'] for e in runs if 'case' in e]))
 
 
 def is_case(value: Any) -> bool:
@@ -248,8 +229,17 @@ def repeated_cases(cases: Sequence[int | str]) -> list[str]:
     return [f'lists the cases [{", ".join(repeated)}] more than once'] if repeated else []
 
 
-def array_faults(arrays: dict[str, np.ndarray], scene: dict[str, Any]) -> list[str]:
-    """Returns what is wrong with the arrays of one run in a scene of the manifest."""
+def _read_run(path: str, scene: dict[str, Any], case: int | str) -> RawRun:
+    arrays = files.read_npz(path)
+    try:
+        return run_of(arrays, scene, case)
+    except ValueError as error:
+        raise ValueError(f'{path}: {error}') from error
+
+
+def run_of(arrays: dict[str, np.ndarray], scene: dict[str, Any], case: int | str) -> RawRun:
+    """Returns the run that the arrays of a file hold in a scene of the manifest; ValueError with
+    all that is wrong with them."""
     has_body = scene['rigid_motion'] != 'none'
     wanted = ['positions', 'parameters']
     wanted += ['rigid_positions'] * has_body + ['force'] * bool(scene['force'])
@@ -257,13 +247,16 @@ def array_faults(arrays: dict[str, np.ndarray], scene: dict[str, Any]) -> list[s
     faults = [f'lacks the arrays {lacking}'] if lacking else []
     soil = arrays.get('positions', np.empty(0))
     frames = len(soil) if soil.ndim else 0
-    for name, shape in (SERIES | {'step_context': (len(scene['context_names']),)}).items():
+    names, series = scene['context_names'], {}
+    for name, shape in (SERIES | {'step_context': (len(names),)}).items():
         if name not in arrays or (name == 'rigid_positions' and not has_body):
             continue
-        if fault := series_fault(arrays[name], name, frames, shape, 'point'):
+        if fault := series_fault(arrays[name], name, frames, shape):
             faults.append(fault)
-    bodies, body = scene.get('bodies', []), arrays.get('rigid_positions', np.empty(0))
-    if has_body and body.ndim == 3:
+        else:
+            series[name] = np.asarray(arrays[name], np.float32)
+    bodies, body = scene.get('bodies', []), series.get('rigid_positions')
+    if body is not None:
         highest = max((max(edge) for edge in scene['rigid_edges']), default=-1)
         if highest >= body.shape[1]:
             faults.append(f'rigid_edges name point {highest}, the body has {body.shape[1]}')
@@ -271,34 +264,36 @@ def array_faults(arrays: dict[str, np.ndarray], scene: dict[str, Any]) -> list[s
         if bodies and sum(one['points'] for one in bodies) != body.shape[1]:
             faults.append(f'has {body.shape[1]} rigid points, its bodies {counts}')
     for name in ('body_force', 'body_pose'):
-        values = arrays.get(name, np.empty(0))
-        if values.ndim == 3 and values.shape[1] != len(bodies):
-            faults.append(f'{name} is of {values.shape[1]} bodies, the scene has {len(bodies)}')
-    if 'parameters' in arrays:
-        try:
-            parameters, _ = _read_context(arrays, scene)
-            if arrays.get('heights', np.empty(0)).ndim == 3:
-                heights.grid_of(parameters, arrays['heights'])
-        except ValueError as error:
-            faults.append(str(error))
-    return faults
-
-
-def _read_context(
-    arrays: dict[str, np.ndarray], scene: dict[str, Any]
-) -> tuple[dict[str, Any], np.ndarray]:
-    """Returns the parameters of a run and its context values, float64 [C]."""
-    names = scene['context_names']
+        if name in series and series[name].shape[1] != len(bodies):
+            count = series[name].shape[1]
+            faults.append(f'{name} is of {count} bodies, the scene has {len(bodies)}')
     try:
-        parameters = json.loads(str(arrays['parameters']))
+        parameters = json.loads(str(arrays.get('parameters', '{}')))
         context = np.array([float(parameters['context'][name]) for name in names])
         if not isinstance(parameters, dict) or not np.all(np.isfinite(context)):
             raise ValueError(f'context {context} is not finite')
     except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
-        raise ValueError(
-            f'parameters must be a JSON object with context {names}: {error!r}'
-        ) from error
-    return parameters, context
+        faults.append(f'parameters must be a JSON object with context {names}: {error!r}')
+    else:
+        try:
+            grid = heights.grid_of(parameters, series.get('heights'))
+        except ValueError as error:
+            faults.append(str(error))
+    if faults:
+        raise ValueError('; '.join(faults))
+    series['rigid_pose'] = series.pop('pose', None)
+    if not scene['force']:
+        series['force'] = None
+    series.setdefault('rigid_positions', np.zeros((frames, 0, DIM), np.float32))
+    return RawRun(case=case, context=context, parameters=parameters, grid=grid, **series)
+
+
+def unlike(run: RawRun, first: Alike) -> str:
+    """Says what keeps a run out of a dataset whose first run is `first`; empty if nothing does."""
+    if run.alike == first:
+        return ''
+    found = f'has (particles, torque, pose, height map) {run.alike}, the runs before it {first}'
+    return f'{found}: record it again, or in a folder of its own'
 
 
 @dataclasses.dataclass
@@ -314,16 +309,14 @@ class Extent:
     fastest: str = 'soil'
     reach: float = 0.0  # largest coordinate of the maps of heights, metres; 0 without maps
 
-    def add(
-        self, positions: np.ndarray, rigid_positions: np.ndarray, dt: float, reach: float = 0.0
-    ) -> None:
-        self.reach = max(self.reach, reach)
-        first = np.asarray(positions[0], np.float64)
+    def add(self, run: RawRun, dt: float) -> None:
+        self.reach = max(self.reach, heights.reach(run.heights, run.grid))
+        first = np.asarray(run.positions[0], np.float64)
         self.low = np.minimum(self.low, first.min(axis=0))
         self.high = np.maximum(self.high, first.max(axis=0))
         if math.isnan(self.spacing):
             self.spacing = matching.median_spacing(first)
-        for name, points in (('soil', positions), ('body', rigid_positions)):
+        for name, points in (('soil', run.positions), ('body', run.rigid_positions)):
             steps = (float(np.abs(b - a).max(initial=0)) for a, b in zip(points[:-1], points[1:]))
             speed = max(steps, default=0.0) / dt
             if speed > self.speed:
@@ -341,32 +334,21 @@ def unit_faults(extent: Extent, bounds: Any, dt: float) -> list[str]:
         ratio = float(np.max(np.abs([extent.low, extent.high])) / np.max(np.abs(bounds)))
         spans = zip(AXES, extent.low, extent.high)
         span = ', '.join(f'{axis} {start:.4g} .. {end:.4g}' for axis, start, end in spans)
-        faults.append(
-            f'the soil lies outside the bounds: it spans {span}, the bounds are {bounds}'
-            + _unit_guess(ratio)
-        )
+        found = f'it spans {span}, the bounds are {bounds}{_unit_guess(ratio)}'
+        faults.append(f'the soil lies outside the bounds: {found}')
     if extent.reach > 2 * np.max(np.abs(bounds)):
-        faults.append(
-            f'the height map reaches {extent.reach:.4g} m, the bounds are {bounds}: heights, '
-            'corner and cells are in metres'
-        )
+        found = f'reaches {extent.reach:.4g} m, the bounds are {bounds}'
+        faults.append(f'the height map {found}: heights, corner and cells are in metres')
     if not SPACING[0] <= extent.spacing <= SPACING[1] and math.isfinite(extent.spacing):
-        faults.append(
-            f'soil particles are {extent.spacing:.3g} m apart (median)'
-            + _unit_guess(1000.0 if extent.spacing > SPACING[1] else 1.0)
-        )
+        guess = _unit_guess(1000.0 if extent.spacing > SPACING[1] else 1.0)
+        faults.append(f'soil particles are {extent.spacing:.3g} m apart (median){guess}')
     if not EXTENT[0] <= size <= EXTENT[1]:
         faults.append(f'the soil spans {size:.3g} m')
     if extent.speed > SPEED:
-        faults.append(
-            f'the {extent.fastest} moves at {extent.speed:.3g} m/s ({extent.speed * dt:.3g} m in a '
-            f'frame of {dt:.3g} s): the unit of length or dt is wrong'
-        )
+        found = f'{extent.speed:.3g} m/s ({extent.speed * dt:.3g} m in a frame of {dt:.3g} s)'
+        faults.append(f'the {extent.fastest} moves at {found}: the unit of length or dt is wrong')
     if faults:
-        faults.append(
-            'metres and seconds are expected; if these are: --nocheck_units '
-            '(check_units=False in write_raw)'
-        )
+        faults.append('if these are metres and seconds: --nocheck_units (check_units=False)')
     return faults
 
 
@@ -378,16 +360,18 @@ def _unit_guess(ratio: float) -> str:
     return ''
 
 
-def infer_up_axis(extent: Extent, bounds: Any, gravity: Any = None) -> tuple[int | None, str]:
+def infer_up_axis(
+    lowest: np.ndarray, highest: np.ndarray, bounds: Any, gravity: Any = None
+) -> tuple[int | None, str]:
     """Finds the axis against gravity, or None, and what says so: the gravity vector, if the runs
-    state one; or that the soil lies at the bottom of the bounds ([[low, high]] * 3), with free
-    space above it, on that axis much more than on the others."""
+    state one; or that the soil, from `lowest` to `highest` [3], lies at the bottom of the bounds
+    ([[low, high]] * 3), with free space above it, on that axis much more than on the others."""
     if isinstance(gravity, list) and len(gravity) == DIM and all(map(metadata.is_number, gravity)):
         if not any(gravity):
             return None, 'gravity is zero'
         return int(np.argmax(np.abs(gravity))), f'gravity is {gravity}'
     low, high = np.asarray(bounds, np.float64).T
-    lean = ((high - extent.high) - (extent.low - low)) / (high - low)
+    lean = ((high - highest) - (lowest - low)) / (high - low)
     axis = int(np.argmax(lean))
     text = ', '.join(f'{name} {100 * value:z.0f} %' for name, value in zip(AXES, lean))
     reason = f'free space above the soil less that below it, of the bounds: {text}'
@@ -434,7 +418,7 @@ def write_raw(
         rigid_edges: pairs of rigid points that hold the body's shape, for bodies whose motion is
             not prescribed.
         name: of the scene.
-        gravity: vector, m/s^2; only recorded.
+        gravity: vector, m/s^2; recorded, and held against `up_axis`.
         bodies: of several bodies, in the order of their points: `name`, `rigid_motion` and `points`
             (how many of R) of each. `rigid_edges` join points of one body; runs may then have
             `body_force` [T, B, 3] and `body_pose` [T, B, 7], and `force` is the sum. Runs with a
@@ -448,8 +432,6 @@ def write_raw(
     first = next(runs, None)
     if first is None:
         raise ValueError(f'{folder}: no runs were given')
-    if os.path.isdir(folder) and os.listdir(folder):
-        raise ValueError(f'{folder}: is not empty; name another folder')
     scene: dict[str, Any] = {
         'name': name,
         'rigid_motion': body or ('prescribed' if 'rigid_positions' in first else 'none'),
@@ -484,28 +466,24 @@ def _write_runs(folder, runs, manifest, find_bounds, check_units) -> None:
     """Writes all runs, and their entries (and bounds, where none are given) into the manifest."""
     scene, dt = manifest['scene'], manifest['dt']
     extent, entries, faults, corners, first = Extent(), [], [], [], None
-    for index, run in enumerate(runs):
-        arrays, problems = _arrays_of(index, run, scene)
-        problems = problems or array_faults(arrays, scene)
-        if not problems:
-            terrain, n_soil = arrays.get('heights'), arrays['positions'].shape[1]
-            grid = heights.grid_of(json.loads(str(arrays['parameters'])), terrain)
-            first = first or (n_soil, grid)
-            problems = heights.grid_faults(grid, first[1], 'the runs before it')
-            if n_soil != first[0]:
-                problems += [f'has {n_soil} particles, the runs before it {first[0]}']
-        if problems:
-            faults += [f'run {index}: {problem}' for problem in problems]
+    for index, given in enumerate(runs):
+        try:
+            arrays = _arrays_of(index, given, scene)
+            run = run_of(arrays, scene, index)
+            first = first or run.alike
+            problem = unlike(run, first)
+        except ValueError as error:
+            problem = str(error)
+        if problem:
+            faults.append(f'run {index}: {problem}')
             continue
-        soil = arrays['positions']
-        body = arrays.get('rigid_positions', np.empty((len(soil), 0, 3), np.float32))
-        extent.add(soil, body, dt, heights.reach(terrain, grid))
-        points = np.concatenate([soil, body], axis=1)
+        extent.add(run, dt)
+        points = np.concatenate([run.positions, run.rigid_positions], axis=1)
         corners += [points.min(axis=(0, 1)), points.max(axis=(0, 1))]
         if not faults:  # after the first fault the rest is only looked at
             name = _FILE_NAME.format(index)
             files.write_npz(os.path.join(folder, name), **arrays)
-            entries.append(_entry(folder, {'file': name}, str(arrays['parameters'])))
+            entries.append(_entry(folder, {'file': name}, run.parameters))
     faults += repeated_cases([entry['case'] for entry in entries])
     if corners and find_bounds:
         low, high = np.float64(np.min(corners, axis=0)), np.float64(np.max(corners, axis=0))
@@ -517,48 +495,43 @@ def _write_runs(folder, runs, manifest, find_bounds, check_units) -> None:
     manifest['runs'] = entries
 
 
-def _arrays_of(
-    index: int, run: Mapping[str, Any], scene: dict[str, Any]
-) -> tuple[dict[str, np.ndarray], list[str]]:
-    """Returns the arrays to write of one run, and what is wrong with its keys."""
-    unknown = sorted(set(run) - set(_RUN_KEYS))
-    if unknown:
-        return {}, [f'has the unknown keys {unknown}; known are {list(_RUN_KEYS)}']
+def _arrays_of(index: int, run: Mapping[str, Any], scene: dict[str, Any]) -> dict[str, np.ndarray]:
+    """Returns the arrays to write of one run; ValueError with what is wrong with its keys."""
+    if unknown := sorted(set(run) - set(_RUN_KEYS)):
+        raise ValueError(f'has the unknown keys {unknown}; known are {list(_RUN_KEYS)}')
     faults, arrays = [], {}
     for name in SERIES:
         if run.get(name) is None:
             continue
         values = np.asarray(run[name])
-        if values.dtype.kind not in 'fiu':
-            faults.append(f'{name} is of type {values.dtype}, numbers were expected')
-            continue
         is_plane = scene.get('dim') == 2 and values.ndim and values.shape[-1] == 2
-        if is_plane and name != 'heights':
+        if is_plane and SERIES[name][-1] == DIM:
             values = np.concatenate([values, np.zeros((*values.shape[:-1], 1))], axis=-1)
-        arrays[name] = np.asarray(values, np.float32)
+        arrays[name] = values.astype(np.float32) if values.dtype.kind in 'fiu' else values
     context = run.get('context') or {}
     if sorted(context) != sorted(scene['context_names']):
         faults.append(f'context has {sorted(context)}, run 0 {sorted(scene["context_names"])}')
     if ('force' in arrays) != scene['force']:
         faults.append(f'{"has" if "force" in arrays else "lacks"} force, unlike run 0')
     parameters = {**(run.get('parameters') or {}), 'case': run.get('case', index)}
-    parameters['context'] = {key: float(value) for key, value in context.items()}
     parameters |= {key: run[key] for key in ('split', 'kind') if run.get(key) is not None}
     if not is_case(parameters['case']):
         faults.append(f'case is {parameters["case"]!r}, a whole number or a text was expected')
     try:
+        parameters['context'] = {key: float(value) for key, value in context.items()}
         arrays['parameters'] = np.array(json.dumps(parameters, allow_nan=False))
     except (TypeError, ValueError) as error:
-        faults.append(f'parameters cannot be written as JSON: {error}')
-    return arrays, faults
+        faults.append(f'parameters, with the context {context}, cannot be written: {error}')
+    if faults:
+        raise ValueError('; '.join(faults))
+    return arrays
 
 
-def _entry(folder: str, listed: dict[str, Any], parameters: str) -> dict[str, Any]:
+def _entry(folder: str, listed: dict[str, Any], parameters: dict[str, Any]) -> dict[str, Any]:
     """Returns what the manifest says of a run; what was listed of it stays."""
-    held = json.loads(parameters)
-    case = listed.get('case', held.get('case', os.path.splitext(listed['file'])[0]))
+    case = listed.get('case', parameters.get('case', os.path.splitext(listed['file'])[0]))
     path = os.path.join(folder, os.path.basename(listed['file']))
-    return {**listed, 'case': case, **files.fingerprint(path), 'parameters': held}
+    return {**listed, 'case': case, **files.fingerprint(path), 'parameters': parameters}
 
 
 def rehash(folder: str) -> list[str]:
@@ -571,23 +544,17 @@ def rehash(folder: str) -> list[str]:
     the files; nothing was changed."""
     path = os.path.join(folder, files.MANIFEST_NAME)
     manifest = files.read_json(path)
-    runs = manifest.get('runs') if isinstance(manifest, dict) else None
-    if not isinstance(runs, list) or not all(
-        isinstance(entry, dict) and isinstance(entry.get('file'), str) for entry in runs
-    ):
-        raise ValueError(f'{path}: "runs" must list at least the "file" of every run')
-    stand_ins = [{'bytes': 0, 'sha256': '', 'case': i, **entry} for i, entry in enumerate(runs)]
-    raise_faults(path, manifest_faults({**manifest, 'runs': stand_ins}))
+    raise_faults(path, manifest_faults(manifest, {'file'}))
     entries, faults = [], []
-    for entry in runs:
+    for entry in manifest['runs']:
         file = os.path.join(folder, os.path.basename(entry['file']))
         try:
-            arrays = files.read_npz(file)
-            raise_faults(file, array_faults(arrays, manifest['scene']))
-            entries.append(_entry(folder, entry, str(arrays['parameters'])))
+            parameters = _read_run(file, manifest['scene'], '').parameters
+            entries.append(_entry(folder, entry, parameters))
         except (ValueError, OSError) as error:
             faults.append(str(error))
+    changed = [new['file'] for old, new in zip(manifest['runs'], entries) if old != new]
     manifest = {**manifest, 'runs': entries}
     raise_faults(path, faults or manifest_faults(manifest))
     files.write_json(path, manifest)
-    return [new['file'] for old, new in zip(runs, entries) if old != new]
+    return changed

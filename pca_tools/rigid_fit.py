@@ -9,9 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pca_tools.metadata import non_finite
-
-MIN_POINTS = 3
+MIN_POINTS = 3  # that fix a rotation
 
 
 class RigidMotion(NamedTuple):
@@ -27,19 +25,10 @@ class RigidMotion(NamedTuple):
 
 
 def fit_rigid_motion(source: np.ndarray, target: np.ndarray) -> RigidMotion:
-    """Finds the rigid motion of `source` [R, 3] (m) onto `target` with least squared distance;
-    where the points lie on a line, the turn about it is any. ValueError: shapes differ or are not
-    [R, 3], fewer than 3 points, or NaN."""
+    """Finds the rigid motion of `source` [R, 3] (m) onto `target` [R, 3] with least squared
+    distance, of at least `MIN_POINTS` finite points; where they lie on a line, the turn about it is
+    any."""
     source, target = np.asarray(source, np.float64), np.asarray(target, np.float64)
-    if source.shape != target.shape or source.ndim != 2 or source.shape[1] != 3:
-        raise ValueError(f'source {source.shape} and target {target.shape} must both be [R, 3]')
-    if len(source) < MIN_POINTS:
-        raise ValueError(
-            f'{len(source)} points do not fix a rotation, at least {MIN_POINTS} are needed'
-        )
-    for name, points in (('source', source), ('target', target)):
-        if fault := non_finite(points, 'point', 'axis'):
-            raise ValueError(f'{name} holds {fault}')
     source_mean, target_mean = source.mean(axis=0), target.mean(axis=0)
     centred_source, centred_target = source - source_mean, target - target_mean
     left, _, right = np.linalg.svd(centred_source.T @ centred_target)

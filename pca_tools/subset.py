@@ -45,9 +45,7 @@ def subset(
         raise ValueError(f'{data_path}: trains on no {sorted(unknown)}, only {sorted(found)}')
     chosen = [run for run in train if not kinds or _kind(run) in kinds]
     if train_runs > len(chosen):
-        raise ValueError(
-            f'{data_path}: such training runs: there are {len(chosen)}, {train_runs} were asked for'
-        )
+        raise ValueError(f'{data_path}: has {len(chosen)} such training runs, not {train_runs}')
     if train_runs:  # spread over all: files are often sorted by kind
         places = ((2 * n + 1) * len(chosen) // (2 * train_runs) for n in range(train_runs))
         chosen = [chosen[place] for place in places]

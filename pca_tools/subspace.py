@@ -104,9 +104,7 @@ class Subspace:
         ValueError for a wrong shape, or NaN (with its place)."""
         x = np.asarray(x)
         if x.ndim < 2 or x.shape[-2:] != (self.n_soil, DIM):
-            raise ValueError(
-                f'positions have shape {x.shape}, [..., {self.n_soil}, {DIM}] was expected'
-            )
+            raise ValueError(f'positions have shape {x.shape}, not [..., {self.n_soil}, {DIM}]')
         if fault := non_finite(x, 'frame', 'particle', 'axis'):
             raise ValueError(f'positions: {fault}')
         return np.einsum('...nk,nr->...rk', x - self.mean, self.components, optimize=True)
@@ -116,9 +114,7 @@ class Subspace:
         ValueError for a wrong shape."""
         z = np.asarray(z, np.float64)
         if z.ndim < 2 or z.shape[-2:] != (self.n_modes, DIM):
-            raise ValueError(
-                f'scores have shape {z.shape}, [..., {self.n_modes}, {DIM}] was expected'
-            )
+            raise ValueError(f'scores have shape {z.shape}, not [..., {self.n_modes}, {DIM}]')
         return self.components @ z + self.mean
 
     def save(self, path: str) -> None:
@@ -141,10 +137,8 @@ class Subspace:
         for name, array in arrays.items():
             kind = kinds.get(name, 'f')
             if array.dtype.kind != kind or (name in _SCALARS and array.ndim):
-                raise ValueError(
-                    f'{path}: {name} of type {array.dtype} and shape {array.shape} is not that of '
-                    'a subspace'
-                )
+                found = f'{name} of type {array.dtype} and shape {array.shape}'
+                raise ValueError(f'{path}: {found} is not that of a subspace')
             if kind == 'f' and not np.all(np.isfinite(array)):
                 raise ValueError(f'{path}: {name} holds NaN or infinite values')
         digest = str(arrays.pop('digest'))
@@ -186,36 +180,31 @@ def fit(
     eigenvalue ~1e-14 of the largest).
 
     Args:
-        runs: float [T, N, 3] arrays in metres; any sequence that can be gone through twice, loading
-            one run at a time.
+        runs: finite float [T, N, 3] arrays in metres with the same N; any sequence that can be gone
+            through twice, loading one run at a time.
         n_modes: r.
         centering: `configuration` (mean position of each particle) or `scalar` (one number).
         max_memory_mb: largest memory of the fit in MiB, beside one run.
-        names: names of the runs, for messages and the record; default 0, 1, ...
+        names: names of the runs, for the record; default 0, 1, ...
         spare_modes: further modes to keep where the data have them, to measure what they would
             bring; `Subspace.truncated` drops them.
         crew: `pca_tools.workers.Workers` that sum up the covariance, in parts; runs must then have
             `part` (as `pca_tools.raw_runs.SoilPositions` has). The same subspace to round-off.
 
     Raises:
-        ValueError: no runs, one row, different N, NaN, no motion at all, more modes than the data
-            has rank, or an N too large for the memory.
+        ValueError: no runs, one frame, no motion at all, more modes than the data has rank, or an N
+            too large for the memory.
     """
     if centering not in CENTERINGS:
         raise ValueError(f'centering {centering!r} is not one of {CENTERINGS}')
     if n_modes < 1:
         raise ValueError(f'{n_modes} modes were asked for, at least 1 is needed')
-    names = tuple(str(index) for index in range(len(runs))) if names is None else tuple(names)
-    if len(names) != len(runs):
-        raise ValueError(f'{len(names)} names were given for {len(runs)} runs')
-    mean, n_rows, largest = _mean_configuration(runs, names, centering)
-    n_soil = len(mean) if mean.ndim else runs[0].shape[1]
+    mean, n_rows, largest = _mean_configuration(runs, centering)
+    n_soil = runs[0].shape[1]
     limit = min(n_rows, n_soil)
     if n_modes > limit:
-        raise ValueError(
-            f'{n_modes} modes were asked for, {n_rows} rows (run x frame x axis) of {n_soil} '
-            f'particles have at most {limit}'
-        )
+        rows = f'{n_rows} rows (run x frame x axis) of {n_soil} particles'
+        raise ValueError(f'{n_modes} modes were asked for, {rows} have at most {limit}')
     length = min(max(SPECTRUM_LENGTH, n_modes + spare_modes + 1), limit)
     budget = max_memory_mb * 2**20
     if SVD_COPIES * 8 * n_rows * n_soil <= budget:
@@ -226,10 +215,8 @@ def fit(
         noise = np.sqrt(n_soil * np.finfo(np.float64).eps)
     else:
         needed = COVARIANCE_COPIES * 8 * n_soil**2 / 2**20
-        raise ValueError(
-            f'the covariance of {n_soil} particles needs {needed:.0f} MiB, the limit is '
-            f'{max_memory_mb:.0f}: raise --max_memory_mb or keep fewer particles'
-        )
+        limits = f'needs {needed:.0f} MiB, the limit is {max_memory_mb:.0f}'
+        raise ValueError(f'the covariance of {n_soil} particles {limits}: raise --max_memory_mb')
     if values[0] <= noise * np.sqrt(n_rows * n_soil) * largest:
         raise ValueError('all runs are constant: there is nothing to fit')
     rank = int(np.count_nonzero(values > noise * values[0]))
@@ -242,36 +229,22 @@ def fit(
         total_energy=energy,
         n_rows=n_rows,
         centering=centering,
-        runs=names,
+        runs=tuple(map(str, range(len(runs)) if names is None else names)),
         initial=np.asarray(runs[0][0], np.float64),
     )
-    if n_modes < rank and subspace.gaps[n_modes - 1] < CLUSTER_GAP:
-        warnings.warn(
-            f'the cut after mode {n_modes} lies inside a cluster: singular values {n_modes} and '
-            f'{n_modes + 1} differ by {100 * subspace.gaps[n_modes - 1]:.1f} %, so the last mode '
-            'may turn from fit to fit',
-            stacklevel=2,
+    if n_modes < rank and (gap := subspace.gaps[n_modes - 1]) < CLUSTER_GAP:
+        text = (
+            f'(the next singular value differs by {100 * gap:.1f} %): it may turn from fit to fit'
         )
+        warnings.warn(f'the cut after mode {n_modes} lies inside a cluster {text}', stacklevel=2)
     return subspace
 
 
-def _mean_configuration(runs, names, centering) -> tuple[np.ndarray, int, float]:
+def _mean_configuration(runs, centering) -> tuple[np.ndarray, int, float]:
     """Returns the mean ([N, 3] or []), the number of rows and the largest coordinate in magnitude;
-    refuses runs that cannot be fitted."""
-    total, frames, n_soil, largest = 0.0, 0, None, 0.0
-    for name, run in zip(names, tqdm(runs, 'mean', unit='run')):
-        if run.ndim != 3 or run.shape[2] != DIM or run.shape[1] == 0:
-            raise ValueError(
-                f'run {name}: positions have shape {run.shape}, [T, N, 3] was expected'
-            )
-        if n_soil not in (None, run.shape[1]):
-            raise ValueError(
-                f'run {name} has {run.shape[1]} particles, the runs before it {n_soil}; a column '
-                'must be the same particle in all runs'
-            )
-        n_soil = run.shape[1]
-        if fault := non_finite(run, 'frame', 'particle', 'axis'):
-            raise ValueError(f'run {name}: {fault}')
+    ValueError for fewer than two frames."""
+    total, frames, largest = 0.0, 0, 0.0
+    for run in tqdm(runs, 'mean', unit='run'):
         total = total + run.sum(axis=0, dtype=np.float64)
         frames += len(run)
         largest = max(largest, float(np.abs(run).max()))
@@ -282,16 +255,15 @@ def _mean_configuration(runs, names, centering) -> tuple[np.ndarray, int, float]
     return mean, frames * DIM, largest  # type: ignore[return-value]
 
 
-def _rows(run: np.ndarray, mean: np.ndarray) -> np.ndarray:
+def centred_rows(run: np.ndarray, mean: np.ndarray) -> np.ndarray:
     """Returns float64 [T * 3, N], row k + 3 i = axis k of frame i, centred."""
-    return np.ascontiguousarray((np.asarray(run, np.float64) - mean).transpose(0, 2, 1)).reshape(
-        -1, run.shape[1]
-    )
+    rows = (np.asarray(run, np.float64) - mean).transpose(0, 2, 1)
+    return np.ascontiguousarray(rows).reshape(-1, run.shape[1])
 
 
 def _decompose_matrix(runs, mean, length):
     """Returns singular values [S], vectors [N, S] and total energy from the whole matrix."""
-    matrix = np.concatenate([_rows(run, mean) for run in tqdm(runs, 'matrix', unit='run')])
+    matrix = np.concatenate([centred_rows(run, mean) for run in tqdm(runs, 'matrix', unit='run')])
     energy = float(np.sum(matrix**2))
     if energy == 0.0:
         return np.zeros(length), np.zeros((matrix.shape[1], length)), energy
@@ -331,7 +303,7 @@ def sum_covariance(part: tuple) -> np.ndarray:
     runs, mean, n_soil = part
     covariance = np.zeros((n_soil, n_soil), order='F')
     for run in runs:
-        matrix = _rows(run, mean)
+        matrix = centred_rows(run, mean)
         covariance = linalg.blas.dsyrk(1.0, matrix.T, beta=1.0, c=covariance, overwrite_c=True)
     return covariance
 

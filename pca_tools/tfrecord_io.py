@@ -13,7 +13,7 @@ CRC32C of the data (https://www.tensorflow.org/tutorials/load_data/tfrecord).
 import dataclasses
 import os
 import struct
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Self
 
 import numpy as np
@@ -54,30 +54,31 @@ class SequenceRecord:
         """Returns the particle types, int64 [V]; ValueError, with `where`, for no such row."""
         size = len(self.particle_type)
         if size % 8 or not size:
-            raise ValueError(
-                f'{where}: particle_type has {size} bytes, a positive multiple of 8 (int64) was '
-                'expected'
-            )
+            raise ValueError(f'{where}: particle_type has {size} bytes, not whole int64 numbers')
         return np.frombuffer(self.particle_type, '<i8').astype(np.int64)
 
-    def series(self, name: str, width: int | None, where: str) -> np.ndarray:
-        """Returns a series as float32 [T, width]; width None takes the size of the first frame.
-        ValueError, with `where`: no frames, or one of another size."""
+    def series(self, name: str, where: str) -> np.ndarray:
+        """Returns a series as float32 [T, values]; ValueError, with `where`: no frames, or of
+        different sizes."""
         frames, where = self.frames[name], f'{where}: {name}'
         if not frames:
             raise ValueError(f'{where}: has no frames')
-        expected = len(frames[0]) if width is None else 4 * width
-        if expected % 4 or not expected:
-            raise ValueError(f'{where}: frame 0 has {expected} bytes, not whole float32 numbers')
-        for index, frame in enumerate(frames):
-            if len(frame) != expected:
-                raise ValueError(
-                    f'{where}: frame {index} has {len(frame)} bytes, {expected} were expected '
-                    f'({expected // 4} float32); the node count of the record and its buffers '
-                    'disagree'
-                )
+        sizes = set(map(len, frames))
+        if len(sizes) > 1 or not min(sizes) or min(sizes) % 4:
+            raise ValueError(f'{where}: its frames have {sorted(sizes)} bytes, not float32 numbers')
         joined = np.frombuffer(b''.join(frames), '<f4').astype(np.float32)
         return joined.reshape(len(frames), -1)
+
+
+def shaped(values: np.ndarray, of_frame: Sequence[int | None], where: str) -> np.ndarray:
+    """Gives a series [T, values] the shape of a frame, where None is any number; ValueError, with
+    `where`: it has other sizes."""
+    try:
+        return values.reshape(len(values), *(size or -1 for size in of_frame))
+    except ValueError:
+        sizes = ' x '.join(str(size or 'any') for size in of_frame)
+        found = f'{values.shape[1]} values a frame'
+        raise ValueError(f'{where} has {found}, {sizes} were expected') from None
 
 
 def scan_record_headers(path: str) -> list[tuple[int, int]]:
@@ -94,27 +95,17 @@ def scan_record_headers(path: str) -> list[tuple[int, int]]:
             where = f'{path}: record {len(records)} at offset {offset}'
             header = file.read(_HEADER_BYTES)
             if len(header) < _HEADER_BYTES:
-                raise ValueError(
-                    f'{where}: the file ends inside a record header; it is truncated or has '
-                    'foreign bytes at its end: copy or convert it again'
-                )
+                raise ValueError(f'{where}: the file ends inside a record header: copy it again')
             length, checksum = struct.unpack('<QI', header)
             if checksum != masked_crc32c(header[:8]):
-                raise ValueError(
-                    f'{where}: not a TFRecord header (wrong checksum); the file is damaged or not '
-                    'a TFRecord file'
-                )
+                raise ValueError(f'{where}: not a TFRecord header (wrong checksum)')
             if length > MAX_RECORD_BYTES:
-                raise ValueError(
-                    f'{where}: the header promises {length} bytes, the limit is '
-                    f'{MAX_RECORD_BYTES}; the file is damaged or hostile and is not read'
-                )
+                limit = f'the limit is {MAX_RECORD_BYTES}; the file is damaged or hostile'
+                raise ValueError(f'{where}: promises {length} bytes, {limit}')
             end = offset + _HEADER_BYTES + length + _FOOTER_BYTES
             if end > size:
-                raise ValueError(
-                    f'{where}: the header promises {length} bytes of data, the file ends '
-                    f'{end - size} bytes too early; it is truncated: copy or convert it again'
-                )
+                text = f'the file ends {end - size} bytes too early: copy or convert it again'
+                raise ValueError(f'{where}: promises {length} bytes, {text}')
             records.append((offset, length))
             offset = end
             file.seek(offset)
@@ -150,10 +141,7 @@ def parse_sequence_example(data: bytes, where: str) -> SequenceRecord:
         raise ValueError(f'{where}: is not a SequenceExample ({error})') from error
     types = example.context.feature['particle_type'].bytes_list.value
     if len(types) != 1:
-        raise ValueError(
-            f'{where}: context feature particle_type has {len(types)} bytes values, 1 was '
-            'expected; the record is not a trajectory of this format'
-        )
+        raise ValueError(f'{where}: particle_type has {len(types)} bytes values, 1 was expected')
     keys = example.context.feature['key'].int64_list.value
     frames = {}
     for name, feature_list in example.feature_lists.feature_list.items():
@@ -223,15 +211,8 @@ def masked_crc32c(data: bytes) -> int:
     """Returns TFRecord's masked CRC32C (Castagnoli polynomial, reflected) of a few bytes."""
     crc = 0xFFFFFFFF
     for byte in data:
-        crc = _CRC_TABLE[(crc ^ byte) & 0xFF] ^ (crc >> 8)
+        crc ^= byte
+        for _ in range(8):
+            crc = (crc >> 1) ^ (0x82F63B78 if crc & 1 else 0)
     crc ^= 0xFFFFFFFF
     return (((crc >> 15) | (crc << 17)) + 0xA282EAD8) & 0xFFFFFFFF
-
-
-def _crc_of(byte: int) -> int:
-    for _ in range(8):
-        byte = (byte >> 1) ^ (0x82F63B78 if byte & 1 else 0)
-    return byte
-
-
-_CRC_TABLE = [_crc_of(byte) for byte in range(256)]

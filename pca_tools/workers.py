@@ -26,6 +26,7 @@ RETRIES = 2
 SLURM_WALLTIME = '01:00:00'
 SLURM_LIFETIME = ('--lifetime', '55m', '--lifetime-stagger', '4m')
 SLURM_MEMORY = '4GB'
+_GOES_ON = 'what was finished is kept, the same command goes on'
 _EXTRA = "Dask is not installed: pip install 'learning-to-simulate-soil[cluster]'"
 
 
@@ -61,10 +62,8 @@ class Workers:
                 # Out of the list, so that a value that was taken is freed.
                 index, error = places.pop(future), future.exception()
                 if isinstance(error, BrokenProcessPool):
-                    raise OSError(
-                        'a process was killed from outside (out of memory?); what was finished is '
-                        'kept, the same command goes on'
-                    ) from error
+                    text = 'a process was killed from outside (out of memory?)'
+                    raise OSError(f'{text}; {_GOES_ON}') from error
                 if error is None:
                     yield Outcome(index, future.result())
                 else:
@@ -86,10 +85,8 @@ class Workers:
                 error = future.exception()
                 yield Outcome(index, None, f'{type(error).__name__}: {error}')
             elif future.cancelled():
-                raise OSError(
-                    f'the cluster lost task {index} ({future.status}): its scheduler is gone; what '
-                    'was finished is kept, the same command goes on'
-                )
+                text = f'the cluster lost task {index} ({future.status}): its scheduler is gone'
+                raise OSError(f'{text}; {_GOES_ON}')
             else:
                 yield Outcome(index, value)
             future.release()

@@ -53,12 +53,10 @@ def detect(folder: str) -> str:
         if is_one(folder):
             return name
     if endings:
-        lacks = f'holds {names[:5]} but no {METADATA_NAME}, which these formats need'
-        raise ValueError(f'{folder}: {lacks}')
+        raise ValueError(f'{folder}: holds {names[:5]} but no {METADATA_NAME}')
     raise ValueError(
         f'{folder}: holds {names[:8] or "nothing"}, which is none of the known formats '
-        f'({", ".join(sorted(FORMATS))}); write its particles as one npz per run with `positions` '
-        '[T, N, D]'
+        f'({", ".join(sorted(FORMATS))}); write one npz per run with `positions` [T, N, D]'
     )
 
 

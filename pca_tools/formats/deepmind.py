@@ -34,11 +34,12 @@ def read(folder: str, dt: float | None = None) -> FullSpaceData:
             if 'position' not in record.frames:
                 raise ValueError(f'{where}: holds no positions, only {sorted(record.frames)}')
             arrays = {
-                ours: record.series(key, len(types) * dim if key == 'position' else None, where)
+                ours: record.series(key, where)
                 for key, ours in _SERIES.items()
                 if key in record.frames
             }
-            arrays['positions'] = arrays['positions'].reshape(-1, len(types), dim)
+            shape = len(types), dim
+            arrays['positions'] = tfrecord_io.shaped(arrays['positions'], shape, where)
             yield index, arrays | {'particle_type': types}
 
     return metadata.data(

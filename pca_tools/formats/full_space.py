@@ -97,17 +97,10 @@ def bounds_of(metadata: Mapping[str, Any], where: str) -> list[list[float]] | No
 
 def check_run(run: FullSpaceRun, where: str) -> FullSpaceRun:
     """Returns a run whose arrays fit each other; ValueError, with `where`, if they do not."""
-    positions, types = run.positions, run.particle_type
+    positions = run.positions
     if positions.dtype.kind not in 'fiu' or positions.ndim != 3 or positions.shape[2] not in (2, 3):
-        raise ValueError(
-            f'{where}: positions have shape {positions.shape}, {positions.dtype}; [T, particles, '
-            '2 or 3] was expected'
-        )
-    if types.dtype.kind not in 'iu' or types.shape != positions.shape[1:2]:
-        raise ValueError(
-            f'{where}: {positions.shape[1]} particles have types of shape {types.shape}, '
-            f'{types.dtype}'
-        )
+        found = f'{positions.shape}, {positions.dtype}'
+        raise ValueError(f'{where}: positions have shape {found}; [T, particles, 2 or 3] expected')
     for name in ('force', 'context'):
         values = getattr(run, name)
         if values is not None and (values.ndim != 2 or len(values) != len(positions)):
@@ -131,12 +124,12 @@ def particle_types(values: Any, positions: np.ndarray, where: str) -> np.ndarray
 
 def find_up_axis(data: FullSpaceData, bounds: list[list[float]]) -> tuple[int | None, str]:
     """Infers the axis against gravity from where the soil lies in the bounds."""
-    extent = raw_runs.Extent()
-    for run in data.runs():
-        soil = in_space(run.positions[:1, ~np.isin(run.particle_type, BODY_TYPES)])
-        if soil.size:
-            extent.add(soil, np.empty((1, 0, 3)), 1.0)
-    return raw_runs.infer_up_axis(extent, bounds)
+    soil = np.concatenate([
+        in_space(run.positions[0, ~np.isin(run.particle_type, BODY_TYPES)]).astype(np.float64)
+        for run in data.runs()
+    ])  # fmt: skip
+    lowest, highest = soil.min(axis=0, initial=np.inf), soil.max(axis=0, initial=-np.inf)
+    return raw_runs.infer_up_axis(lowest, highest, bounds)
 
 
 def raw_mappings(data: FullSpaceData, body: str | None) -> Iterator[dict[str, Any]]:
@@ -147,13 +140,11 @@ def raw_mappings(data: FullSpaceData, body: str | None) -> Iterator[dict[str, An
     for run in data.runs():
         where = f'{data.source}: {run.name}'
         soil, points = split_bodies(run, where)
-        if first is None:
-            first = (soil.shape[1], run.name)
+        first = first or (soil.shape[1], run.name)
         if soil.shape[1] != first[0]:
             raise ValueError(
                 f'{where}: has {soil.shape[1]} soil particles, {first[1]} {first[0]}: a common '
-                'subspace needs the same particles in all runs; import runs of one number, or '
-                'train a full-space model on them (learning_to_simulate.train --model=full_space)'
+                'subspace needs one number; for several there is train --model=full_space'
             )
         mapping: dict[str, Any] = {'positions': soil, 'case': run.name}
         if run.split:
@@ -180,10 +171,8 @@ def split_bodies(run: FullSpaceRun, where: str) -> tuple[np.ndarray, np.ndarray]
     if rigid.any() and kinematic.any():
         walls = run.positions[:, kinematic]
         if np.any(walls != walls[0]):
-            raise ValueError(
-                f'{where}: has a rigid body (type 0) and a moving boundary (type 3); one body is '
-                'read: change the types of one of them'
-            )
+            both = 'a rigid body (type 0) and a moving boundary (type 3)'
+            raise ValueError(f'{where}: has {both}; one body is read: change the types of one')
         return soil, run.positions[:, rigid]
     return soil, run.positions[:, rigid | kinematic]
 

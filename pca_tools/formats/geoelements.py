@@ -49,10 +49,8 @@ def read_trajectories(path: str) -> list[Any]:
         for name, file, _ in members:
             shape, _, dtype = files.read_npy_header(file)
             if not dtype.hasobject:
-                raise ValueError(
-                    f'{name} is an array of {dtype}, {shape}; a trajectory is an object array '
-                    '(positions, types), or all of them lie in gns_data'
-                )
+                expected = 'object arrays (positions, types), or all of them in gns_data'
+                raise ValueError(f'{name} is {dtype}, {shape}; expected are {expected}')
             held[name] = legacy_pickles.parse_objects(file.read(files.MAX_BYTES), name)
     return held[KEY] if KEY in held else list(held.values())
 

@@ -26,14 +26,9 @@ def read(folder: str, dt: float | None = None) -> FullSpaceData:
     metadata, notes = full_space.Foreign(folder), []
     periodic = metadata.values.get('periodic_boundary_conditions') or []
     if not isinstance(periodic, list):
-        raise ValueError(
-            f'{metadata.path}: periodic_boundary_conditions is {periodic!r}, a list was expected'
-        )
+        raise ValueError(f'{metadata.path}: periodic_boundary_conditions is {periodic!r}, no list')
     if any(periodic):
-        notes.append(
-            'its boundaries are periodic, which these models do not know: particles that cross one '
-            'seem to jump'
-        )
+        notes.append('its boundaries are periodic: particles that cross one seem to jump')
     if os.path.exists(os.path.join(folder, 'force.py')):
         notes.append('its force.py (an external force) was not run and is left out')
     # dt is the solver's; a frame is stored every `write_every` of its steps.
@@ -63,9 +58,8 @@ def _arrays(group, where: str) -> dict[str, Any]:
         raise ValueError(f'{where}: holds {held}; position and particle_type were expected')
     stored, types = group[key], group['particle_type']
     if stored.dtype.kind not in 'fiu' or stored.nbytes + types.nbytes > files.MAX_BYTES:
-        raise ValueError(
-            f'{where}: position has {stored.shape}, {stored.dtype}, {types.shape} types'
-        )
+        held = f'{stored.shape}, {stored.dtype}, {types.shape} types'
+        raise ValueError(f'{where}: position has {held}')
     positions = stored[()]
     theirs = full_space.particle_types(types[()], positions, where)
     kept = theirs != _PADDING

@@ -32,8 +32,10 @@ def read(folder: str, dt: float | None = None) -> FullSpaceData:
     stated: dict[str, dict[str, Any]] = {key: {} for key in _SHARED}  # key -> path -> value
     for path in paths:
         arrays = files.read_npz(path, only=_SHARED)
+        dt_held = arrays.get('dt', np.empty(0))
+        is_dt = dt_held.size == 1 and dt_held.dtype.kind in 'fiu' and np.isfinite(dt_held).all()
         found = {
-            'dt': _dt_of(arrays),
+            'dt': float(dt_held.reshape(())) if is_dt else None,
             'bounds': full_space.bounds_of(
                 {key: arrays[key].tolist() for key in arrays if key == 'bounds'}, path
             ),
@@ -72,12 +74,6 @@ def _only(key: str, stated: dict[str, dict[str, Any]]) -> Any:
                 'folder share it' + ('; give --dt if only the files say it wrong' * (key == 'dt'))
             )
     return held.get(first)
-
-
-def _dt_of(arrays: dict[str, np.ndarray]) -> float | None:
-    held = arrays.get('dt', np.empty(0))
-    usable = held.size == 1 and held.dtype.kind in 'fiu' and np.isfinite(held).all()
-    return float(held.reshape(())) if usable else None
 
 
 def _run_of(path: str) -> FullSpaceRun:

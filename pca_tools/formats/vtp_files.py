@@ -44,9 +44,8 @@ def write_points(
         raise ValueError(f'{path}: points have shape {points.shape}, [P, 3] was expected')
     for name, values in point_data.items():
         if len(values) != len(points):
-            raise ValueError(
-                f'{path}: point data {name!r} has {len(values)} values for {len(points)} points'
-            )
+            found = f'{len(values)} values for {len(points)} points'
+            raise ValueError(f'{path}: point data {name!r} has {found}')
     count = len(points)
     # Without a vertex cell on each point ParaView shows nothing.
     connectivity = np.arange(count, dtype=np.int32)
@@ -111,9 +110,7 @@ def read_points(path: str) -> tuple[np.ndarray, dict[str, np.ndarray], dict[str,
         import vtk
         from vtk.util.numpy_support import vtk_to_numpy
     except ModuleNotFoundError as error:
-        raise ModuleNotFoundError(
-            f'{path}: reading .vtp takes the package vtk: pip install vtk'
-        ) from error
+        raise ModuleNotFoundError(f'{path}: reading .vtp takes vtk: pip install vtk') from error
     files.refuse_git_lfs_pointer(path)
     vtk.vtkObject.GlobalWarningDisplayOff()  # damaged files are told of below, in one line
     reader = vtk.vtkXMLPolyDataReader()

@@ -91,7 +91,7 @@ def write_folder_atomically(path: str, fill: Callable[[str], None], replace: boo
     point, which cannot be renamed, is filled file by file, each moved in when all are complete.
 
     OSError: the name cannot be taken, a file could not be written, or another writer was faster; an
-    older folder stays."""
+    older folder stays. ValueError: it is not empty and not to be replaced."""
     path = os.path.realpath(path)
     _check_name(path)
     os.makedirs(os.path.dirname(path), exist_ok=True)
@@ -105,6 +105,8 @@ def write_folder_atomically(path: str, fill: Callable[[str], None], replace: boo
             os.rename(path, temporary)
         elif not os.path.isdir(path):
             raise NotADirectoryError(errno.ENOTDIR, 'is a file, a folder was expected', path)
+        elif not replace and os.listdir(path):
+            raise ValueError(f'{path}: is not empty; name another folder')
         fill(temporary)
         if replace and os.path.isdir(path) and os.listdir(path):
             _exchange(temporary, path)

@@ -12,16 +12,16 @@ from tests.pca_tools.commands import REPOSITORY
 
 @pytest.fixture(scope='session')
 def raw_excavation(tmp_path_factory):
-    """Raw folder of 12 excavation runs."""
+    """Raw folder of 6 excavation runs."""
     folder = str(tmp_path_factory.mktemp('raw') / 'excavation')
-    return synthetic.write_raw_folder(folder, 'excavation', range(1, 13))
+    return synthetic.write_raw_folder(folder, 'excavation', range(1, 7))
 
 
 @pytest.fixture(scope='session')
 def raw_wheel(tmp_path_factory):
-    """Raw folder of 12 wheel runs."""
+    """Raw folder of 6 wheel runs."""
     folder = str(tmp_path_factory.mktemp('raw') / 'wheel')
-    return synthetic.write_raw_folder(folder, 'wheel', range(1, 13))
+    return synthetic.write_raw_folder(folder, 'wheel', range(1, 7))
 
 
 @pytest.fixture(scope='session')

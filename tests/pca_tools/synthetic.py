@@ -76,17 +76,11 @@ def make_run(name, case, frames=24):
 
 
 def write_raw_folder(folder, name, cases, frames=24, change=None, **parameters):
-    """Writes a raw folder; returns its path.
+    """Writes a raw folder, made if absent, of the cases of a scene; returns its path.
 
-    Args:
-        folder: made if absent.
-        name: of the scene.
-        cases: case ids.
-        frames: of each run.
-        change: called with (case, arrays), may alter the arrays before they are written.
-        **parameters: further parameters of the runs, each a value or a function of the case; None
-            is left out.
-    """
+    `change` is called with (case, arrays) and may alter the arrays before they are written.
+    `parameters` are further ones of the runs, each a value or a function of the case; None is left
+    out."""
     folder = str(folder)
     os.makedirs(folder, exist_ok=True)
     entries = []

@@ -45,11 +45,8 @@ def test_new_runs_go_where_they_say_and_old_ones_stay(grown):
     for key in ('vel_mean', 'acc_std', 'rigid_body_force_std', 'pca', 'bounds'):
         assert after[key] == before[key]
     for split, old in records.items():
-        new = dataset.read_split(data, split)
-        assert [run.key for run in new] == list(range(len(new)))
-        for one, other in zip(old, new):
+        for one, other in zip(old, dataset.read_split(data, split)):
             np.testing.assert_array_equal(one.position, other.position)
-            np.testing.assert_array_equal(one.force, other.force)
     sample = particles.read_sample(data, 'train')
     kept = raw_of(second, 6)['positions'][:: sample.frame_stride, sample.indices]
     np.testing.assert_allclose(sample[3], kept, atol=sample.resolution / 2 + 1e-7)
@@ -85,7 +82,7 @@ def test_what_it_refuses_changes_nothing(grown, tmp_path):
     for name, change in (
         ('soil', beside_the_modes), ('force', more('force')), ('body', more('rigid_positions')),
     ):  # fmt: skip
-        refused(name, (5, 6), 'case 5 with other content .*case id of its own', change=change)
+        refused(name, (5, 6), 'case 5 with other content.*case id of its own', change=change)
     (tmp_path / 'data' / 'edges.json').write_text('{}')
     refused('beside', (6,), r"not of the dataset \(\['edges.json'\]\)")
 

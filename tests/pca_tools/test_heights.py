@@ -69,12 +69,6 @@ def test_maps_are_those_of_the_raw_runs(whole, tmp_path):
     new = raw_folder(tmp_path / 'new', (8, 9))
     convert.convert(new, str(tmp_path / 'like'), like=data)
     check(str(tmp_path / 'like'), {'train': [8, 9]})
-    subset.subset(data, str(tmp_path / 'few'), train_runs=2)
-    few = files.read_json(tmp_path / 'few' / 'metadata.json')['dataset_split']
-    assert len(few['train']) == 2
-    check(str(tmp_path / 'few'), few)
-    subset.deal(data, str(tmp_path / 'dealt'), {'train': [5, 0], 'valid': [3]})
-    check(str(tmp_path / 'dealt'), {'train': [6, 1], 'valid': [4]})
 
 
 def test_a_dataset_that_grew_equals_one_of_all_runs(whole, tmp_path):
@@ -99,7 +93,13 @@ def test_runs_without_a_map_or_with_another_one(whole, tmp_path):
     some = raw_folder(tmp_path / 'some', range(1, 6), without=(2, 4))
     with pytest.raises(ValueError) as error:
         convert.convert(some, str(tmp_path / 'out'))
-    for text in ('2 faults', 'run_002.npz: its height map is none', 'run_004', 'again, or take'):
+    for text in (
+        '2 faults',
+        'run_002.npz: has',
+        'True, None), the runs before',
+        'run_004',
+        'again',
+    ):
         assert text in str(error.value), text
     for name, cells, changes in (
         ('none', 'none', {'without': (8,)}), ('bin', '5 x 3 cells', {'bin_m': [0.8, 0.3, 0.5]}),
@@ -152,7 +152,7 @@ def test_own_raw_runs_have_their_heights_checked(tmp_path):
             write_raw(raw, own_runs(**change), **settings)
     first, second = own_runs()
     for other in (tall, None):
-        with pytest.raises(ValueError, match='run 1: its height map is .*5 x 3 cells of 120 x 140'):
+        with pytest.raises(ValueError, match=r'run 1: .* before it .*\(5, 3\), .*\(0.12, 0.14\)\)'):
             write_raw(raw, [first, second | {'heights': other}], **settings)
     write_raw(raw, own_runs(), **settings)
     run = RawRuns(raw)[1]
@@ -163,5 +163,7 @@ def test_own_raw_runs_have_their_heights_checked(tmp_path):
     np.testing.assert_allclose(maps.corner, [0.2, 0.3])
     soil = first['positions'][:, :, :2]  # a run in the plane, whose map is two cells wide
     plane = {'positions': soil, 'heights': surface(1)[..., :2], 'parameters': first['parameters']}
+    plane |= {'context': {'a': 1.0, 'b': 2.0}, 'step_context': np.ones((24, 2))}
     write_raw(str(tmp_path / 'plane'), [plane], **settings)
-    assert RawRuns(str(tmp_path / 'plane'))[0].heights.shape == (24, 5, 2)
+    run = RawRuns(str(tmp_path / 'plane'))[0]
+    assert run.heights.shape == (24, 5, 2) and run.step_context.shape == (24, 2)

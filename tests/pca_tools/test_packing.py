@@ -51,7 +51,7 @@ def test_series_come_back_bit_for_bit(shape):
     assert again.tobytes() == values.tobytes()
 
 
-def test_damaged_bytes_are_refused_or_of_the_promised_shape():
+def test_damaged_bytes_are_refused():
     _, moved = wandering()
     for pack, unpack in (
         (lambda v: packing.pack_positions(v, STEP), packing.unpack_positions),
@@ -61,15 +61,6 @@ def test_damaged_bytes_are_refused_or_of_the_promised_shape():
         for wrong in (data[:-9], data[:5], b'', b'\xff' * 8 + data[8:], bytes(8) + data[8:]):
             with pytest.raises(ValueError, match='packed'):
                 unpack(wrong)
-        rng = np.random.default_rng(3)
-        for place in rng.integers(0, len(data), 40).tolist():
-            flipped = bytes([data[place] ^ 1 << int(rng.integers(8))])
-            wrong = data[:place] + flipped + data[place + 1 :]
-            try:  # LZMA has no checksum of its own: the record's and the manifest's count
-                held = unpack(wrong)
-            except ValueError:
-                continue
-            assert held.size == moved.size and held.dtype == np.float32
 
 
 REST = np.arange(6.0).reshape(2, 3)

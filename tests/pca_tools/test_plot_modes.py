@@ -8,7 +8,7 @@ import pytest
 
 pytest.importorskip('matplotlib')
 
-from pca_tools import plot_modes
+from pca_tools import convert, plot_modes
 from pca_tools.raw_runs import RawRuns
 from pca_tools.subspace import Subspace
 
@@ -34,10 +34,11 @@ def test_reductions_are_measured_on_held_out_runs(space, raw_excavation):
     assert kernel['test_mse'] > 10 * stored['test_mse']
 
 
-def test_pictures_and_numbers(excavation, raw_excavation, tmp_path, capsys, monkeypatch):
+def test_pictures_and_numbers(raw_excavation, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(plot_modes, 'KERNEL_ROWS', 200)
+    convert.convert(raw_excavation, f'{tmp_path}/data', modes=1)
     values = types.SimpleNamespace(output_path=str(tmp_path), raw_path=raw_excavation)
-    plot_modes.main(values, [excavation])
+    plot_modes.main(values, [f'{tmp_path}/data'])
     assert 'kernel PCA of the same (RBF 0.04, ridge 1)' in capsys.readouterr().out
     for name in ('energy_and_error.png', 'modes.png'):
         assert (tmp_path / name).read_bytes().startswith(b'\x89PNG')

@@ -20,17 +20,12 @@ from tests.pca_tools.commands import REPOSITORY, call_command
 DT = 1 / 60
 
 
-def own_runs(count=5, frames=20, scale=1.0, **extra):
-    """Runs of the synthetic scene as mappings, in other units."""
+def own_runs(count=5, **extra):
+    """Runs of the synthetic scene as mappings."""
     for case in range(1, count + 1):
-        arrays = synthetic.make_run('excavation', case, frames)
-        yield {
-            'positions': scale * arrays['positions'],
-            'rigid_positions': scale * arrays['rigid_positions'],
-            'force': arrays['force'],
-            'case': case,
-            **extra,
-        }
+        arrays = synthetic.make_run('excavation', case, frames=20)
+        kept = {name: arrays[name] for name in ('positions', 'rigid_positions', 'force')}
+        yield {**kept, 'case': case, **extra}
 
 
 def test_script_of_the_page_becomes_a_dataset(tmp_path):
@@ -77,7 +72,8 @@ def test_all_faults_are_told_at_once_and_nothing_is_written(tmp_path):
         write_raw(str(tmp_path / 'raw'), runs, DT, up_axis='y')
     for text in (
         '4 faults', 'run 1: positions holds 1 NaN', "run 2: has the unknown keys ['postions']",
-        'run 3: has 9 particles, the runs before it 140', 'run 4: lacks force',
+        'run 3: has (particles, torque, pose, height map) (9, False, False, None), the runs',
+        'run 4: lacks force',
     ):  # fmt: skip
         assert text in str(error.value), text
     for bad in ({'dt': 0.0}, {'up_axis': 'up'}, {'body': 'moving'}, {'bounds': [[0, 1]]}):
@@ -87,6 +83,9 @@ def test_all_faults_are_told_at_once_and_nothing_is_written(tmp_path):
     for case in (0.1, True, None):  # the converter would refuse the whole folder
         with pytest.raises(ValueError, match=f'run 0: case is {case}, a whole number or a text'):
             write_raw(str(tmp_path / 'raw'), [{**runs[0], 'case': case}], DT, up_axis='y')
+    with pytest.raises(ValueError, match=r"run 0: parameters, with the context .*'heavy'"):
+        heavy = {**runs[0], 'context': {'load': 'heavy'}}
+        write_raw(str(tmp_path / 'raw'), [heavy], DT, up_axis='y')
     with pytest.raises(ValueError, match='no runs'):
         write_raw(str(tmp_path / 'raw'), [], DT, up_axis='y')
     assert not os.listdir(tmp_path)
@@ -157,32 +156,53 @@ def test_rehash_follows_files_that_were_changed_on_purpose(tmp_path):
 
 
 @pytest.mark.parametrize(
-    'scale, bounds, text',
+    'change, text',
     [
-        (1000.0, synthetic.BOUNDS, 'the soil lies outside the bounds: .* look like millimetres'),
-        (1000.0, None, r'apart \(median\); these look like millimetres'),
-        (100.0, synthetic.BOUNDS, 'look like centimetres'),
+        (lambda a: np.put(a['positions'], 3 * 140 * 9 + 51, np.nan),
+         'positions holds 1 NaN .* frame 9, point 17, axis 0'),
+        (lambda a: a.pop('force'), r"lacks the arrays \['force'\]"),
+        (lambda a: a.update(force=a['force'][1:]), r'force has shape \(23, 3\), .* for 24 frames'),
+        (lambda a: a.update(parameters=np.array('{"case": 1}')), 'JSON object with context'),
+        (lambda a: a.update(step_context=np.zeros((24, 2), np.float32)),
+         r'step_context has shape \(24, 2\).* of 3 values'),
+        (lambda a: a.update(subframe_force=np.zeros((24, 5, 3), np.float32)),
+         r'subframe_force has shape \(24, 5, 3\), .* of 4 x 3'),
+        (lambda a: a.update(rigid_positions=a['rigid_positions'][:, :9]), 'edges name point 15'),
+        (lambda a: a.update(body_pose=np.zeros((24, 2, 7))), 'body_pose is of 2 bodies, .* has 0'),
+    ],
+)  # fmt: skip
+def test_bad_arrays_of_a_run_are_named(change, text):
+    arrays = synthetic.make_run('wheel', 3)
+    change(arrays)
+    with pytest.raises(ValueError, match=text):
+        raw_runs.run_of(arrays, synthetic.scene('wheel'), 3)
+
+
+@pytest.mark.parametrize(
+    ('scale', 'dt', 'bounds', 'text'),
+    [
+        ((1000, 1000), DT, synthetic.BOUNDS, 'lies outside the bounds: .* look like millimetres'),
+        ((1000, 1000), DT, None, r'apart \(median\); these look like millimetres'),
+        ((100, 100), DT, synthetic.BOUNDS, 'look like centimetres'),
+        ((1, 1), 1e-5, None, 'the (soil|body) moves at .* dt is wrong'),
+        ((1, 1000), DT, None, 'the body moves at .* unit of length'),
+        ((1, 1), DT, [[2, 3]] * 3, 'the soil lies outside the bounds: it spans x 0.19'),
     ],
 )
-def test_other_units_of_length_are_found(tmp_path, scale, bounds, text):
-    runs, raw = list(own_runs(3, scale=scale)), str(tmp_path / 'raw')
+def test_other_units_are_found(tmp_path, scale, dt, bounds, text):
+    raw = str(tmp_path / 'raw')
+    soil, body = np.float32(scale)
+    runs = [
+        run
+        | {'positions': soil * run['positions'], 'rigid_positions': body * run['rigid_positions']}
+        for run in own_runs(2)
+    ]
     with pytest.raises(ValueError, match=f'(?s){text}.*--nocheck_units'):
-        write_raw(raw, runs, DT, up_axis='y', bounds=bounds)
-    write_raw(raw, runs, DT, up_axis='y', bounds=bounds, check_units=False)
+        write_raw(raw, runs, dt, up_axis='y', bounds=bounds)
+    write_raw(raw, runs, dt, up_axis='y', bounds=bounds, check_units=False)
     with pytest.raises(ValueError, match='--nocheck_units'):
         RawRuns(raw).check()
     RawRuns(raw).check(check_units=False)
-
-
-def test_a_frame_rate_as_dt_a_body_in_other_units_and_soil_elsewhere_are_found(tmp_path):
-    with pytest.raises(ValueError, match='the (soil|body) moves at .* dt is wrong'):
-        write_raw(str(tmp_path / 'raw'), own_runs(2), 1e-5, up_axis='y')
-    runs = [run | {'rigid_positions': 1000.0 * run['rigid_positions']} for run in own_runs(2)]
-    with pytest.raises(ValueError, match='the body moves at .* unit of length'):
-        write_raw(str(tmp_path / 'raw'), runs, DT, up_axis='y')
-    runs = [run | {'positions': run['positions'] + np.float32(2.0)} for run in own_runs(2)]
-    with pytest.raises(ValueError, match='the soil lies outside the bounds: it spans x 2.19'):
-        write_raw(str(tmp_path / 'raw'), runs, DT, up_axis='y', bounds=synthetic.BOUNDS)
 
 
 @pytest.mark.parametrize(

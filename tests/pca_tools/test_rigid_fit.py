@@ -28,14 +28,6 @@ def test_exact_motions_are_recovered_and_never_mirrored(points):
         assert motion.residual < 6e-14
 
 
-@pytest.mark.parametrize('distance, degrees', [(1e2, 2e-11), (1e4, 3e-9), (1e6, 1e-7)])
-def test_far_from_the_origin(distance, degrees):
-    rotation = Rotation.from_euler('y', 20, degrees=True).as_matrix()
-    motion = fit_rigid_motion(BLADE + distance, BLADE @ rotation.T + distance)
-    turn = Rotation.from_matrix(motion.rotation @ rotation.T)
-    assert np.degrees(turn.magnitude()) <= degrees
-
-
 def test_lines_and_mirrored_points_get_a_proper_rotation():
     line = np.outer(np.linspace(0, 1, 7), [1.0, 2.0, 3.0])
     rotation = Rotation.from_euler('xyz', [0.3, 0.2, 0.9]).as_matrix()
@@ -48,17 +40,3 @@ def test_lines_and_mirrored_points_get_a_proper_rotation():
     nearest, misfit = Rotation.align_vectors(*(p - p.mean(0) for p in (CLOUD * [1, 1, -1], CLOUD)))
     assert motion.residual == pytest.approx(misfit / np.sqrt(len(CLOUD)))
     np.testing.assert_allclose(motion.rotation, nearest.as_matrix(), atol=1e-7)
-
-
-@pytest.mark.parametrize(
-    'source, target, text',
-    [
-        (CLOUD[:2], CLOUD[:2], '2 points'),
-        (CLOUD, CLOUD[:5], 'must both be'),
-        (CLOUD[:, :2], CLOUD[:, :2], 'must both be'),
-        (CLOUD, np.where(np.arange(16)[:, None] == 4, np.nan, CLOUD), 'target.*point 4'),
-    ],
-)
-def test_bad_input(source, target, text):
-    with pytest.raises(ValueError, match=text):
-        fit_rigid_motion(source, target)

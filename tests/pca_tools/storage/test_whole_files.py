@@ -75,9 +75,8 @@ def test_output_that_is_a_link_is_the_folder_it_means(tmp_path):
     assert (tmp_path / 'not_yet' / 'a').read_text() == 'new'
 
 
-@pytest.mark.parametrize('length', [246, 255])
-def test_long_names_lose_nothing(tmp_path, length):
-    name = 'n' * length
+def test_long_names_lose_nothing(tmp_path):
+    name = 'n' * 255
     whole_files.write_folder_atomically(str(tmp_path / name), fill_with('new'))
     whole_files.write_atomically(str(tmp_path / name / name), put('new'))
     whole_files.write_folder_atomically(str(tmp_path / name), fill_with('newer'))
@@ -169,7 +168,7 @@ def test_recovery_takes_only_what_a_writer_put_aside(tmp_path):
     aside = pathlib.Path(whole_files.temporary_beside(str(path), '.old'))
     aside.mkdir()
     (aside / 'a').write_text('old')
-    with contextlib.suppress(OSError):
+    with pytest.raises(ValueError, match='set: is not empty; name another folder'):
         whole_files.write_folder_atomically(str(path), fill_with('new'), replace=False)
     assert (path / 'a').read_text() == 'old'  # back under its name, and not replaced
     assert (tmp_path / '.set.mine.old').is_dir()
