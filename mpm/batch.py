@@ -35,23 +35,21 @@ def generate(
     from being made; what is finished stays, and the same call goes on with the rest.
 
     Args:
-        scene: the scene.
         cases: what to run, see `catalogue.motion_of`.
         output_path: folder, made if absent; of a cluster on a disk that all workers see.
-        settings: of all runs in the folder.
         num_processes: runs at a time.
         tool: `bodies.check_tool`, of all runs; None: what each run has.
         where: see `pca_tools.workers`; '': processes of this machine.
 
     Raises:
-        ValueError: if the folder holds another scene or other settings, another process writes into
+        ValueError: the folder holds another scene or other settings, another process writes into
             it, a motion is refused, or runs failed.
-        OSError: if the disk is full, a process was killed or the scheduler is gone.
+        OSError: the disk is full, a process was killed or the scheduler is gone.
     """
+    _check_cases(scene, cases, settings, tool)
     groups: dict[str | None, list] = {}
     for case in cases:
         groups.setdefault(catalogue.bin_name(scene, case), []).append(case)
-    _check_cases(scene, cases, settings, tool)
     new: list[dict] = []
     failures: list[str] = []
     for name, some in groups.items():
@@ -60,9 +58,7 @@ def generate(
         with locked(folder):
             remove_temporary(folder)
             job = _Job(catalogue.in_bin(scene, some[0]), settings, tool, folder)
-            made, failed = _generate(job, some, num_processes, where)
-        new += made
-        failures += failed
+            _generate(job, some, num_processes, where, new, failures)
     if failures:
         raise ValueError(
             f'{len(failures)} of {len(cases)} runs failed, {len(new)} were made and are kept in '
@@ -79,10 +75,6 @@ class _Job:
     settings: Settings
     tool: dict | None
     folder: str
-
-    def shared(self) -> dict:
-        common = {'solver_version': SOLVER_VERSION, 'bin_m': list(self.scene.bin.size)}
-        return self.settings.recorded() | common
 
     def simulate(self, case, on_frame=lambda frame: None) -> dict | str:
         """Makes one run; returns its entry of the manifest, or why there is none."""
@@ -117,29 +109,30 @@ def _check_cases(scene, cases, settings, tool) -> None:
 
 def _unfinished(job: _Job, cases, finished: list[dict]) -> list:
     """Returns the cases that are not finished; refuses a path or tool of other content."""
-    done = {entry['case']: entry['parameters'] for entry in finished}
+    done, unfinished = {entry['case']: entry['parameters'] for entry in finished}, []
     for case in cases:
         name = catalogue.run_id(case)
-        if made := done.get(name):
-            asked = catalogue.motion_of(job.scene, case, job.tool).parameters
-            other = [key for key in ('path_sha256', 'tool') if asked.get(key) != made.get(key)]
-            if other:
-                raise ValueError(
-                    f'{job.folder}: {raw_run.file_name(name)} was made with another '
-                    f'{" and ".join(other)}; name another folder'
-                )
-    return [case for case in cases if catalogue.run_id(case) not in done]
+        if name not in done:
+            unfinished.append(case)
+            continue
+        asked, made = catalogue.motion_of(job.scene, case, job.tool).parameters, done[name]
+        other = [key for key in ('path_sha256', 'tool') if asked.get(key) != made.get(key)]
+        if other:
+            raise ValueError(
+                f'{job.folder}: {raw_run.file_name(name)} was made with another '
+                f'{" and ".join(other)}; name another folder'
+            )
+    return unfinished
 
 
-def _generate(job: _Job, cases, num_processes, where):
-    """Makes the runs of one folder; returns the new entries and why others failed."""
+def _generate(job: _Job, cases, num_processes, where, new: list, failures: list) -> None:
+    """Makes the runs of one folder; adds the new entries, and why others failed."""
     scene = job.scene
-    finished = raw_run.finished_runs(job.folder, scene, job.shared())
-    todo = _unfinished(job, cases, finished)
-    new: list[dict] = []
-    failures: list[str] = []
+    shared = {'solver_version': SOLVER_VERSION, 'bin_m': list(scene.bin.size)}
+    held = raw_run.finished_runs(job.folder, scene, job.settings.recorded() | shared)
+    todo = _unfinished(job, cases, held)
     if not todo:
-        return new, failures
+        return
     # Made once, before the workers would all make it.
     _packed(scene.bin, job.settings, job.folder)
 
@@ -149,7 +142,8 @@ def _generate(job: _Job, cases, num_processes, where):
             failures.append(f'{_name(scene, case)}: {result}')
         else:
             new.append(result)
-            raw_run.write_manifest(job.folder, scene, finished + new)
+            held.append(result)
+            raw_run.write_manifest(job.folder, scene, held)
 
     if not where and (num_processes == 1 or len(todo) == 1):
         for number, case in enumerate(todo):
@@ -157,7 +151,7 @@ def _generate(job: _Job, cases, num_processes, where):
             title = f'{_name(scene, case)} ({number + 1} of {len(todo)})'
             with tqdm(total=frames, desc=title, unit='frame', mininterval=1.0) as bar:
                 note(case, job.simulate(case, lambda frame, bar=bar: bar.update(frame - bar.n)))
-        return new, failures
+        return
     with (
         workers.start(where, min(num_processes, len(todo))) as crew,
         tqdm(total=len(todo), desc=scene.name, unit='run') as bar,
@@ -166,4 +160,3 @@ def _generate(job: _Job, cases, num_processes, where):
             case = todo[outcome.index]
             note(case, outcome.error if outcome.error is not None else outcome.value)
             bar.update()
-    return new, failures

@@ -94,28 +94,23 @@ def make_wheel(
     """Builds a wheel; the reference point is its axle. R = 16 points: two rings of 8 at the rim, 45
     degrees apart.
 
-    Args:
-        diameter: of the rim, m.
-        width: m; None: that of the published wheels, of which the two small ones are 2/3 as wide.
-        grousers: number, height beyond the rim and thickness (m) of the bars; ValueError if they
-            overlap, or are not higher than half their thickness.
-        friction: Coulomb coefficient.
+    Without a width (m) it is that of the published wheels, of which the two small ones are 2/3 as
+    wide. `grousers`: number, height beyond the rim and thickness (m) of the bars; ValueError if
+    they overlap, or are not higher than half their thickness.
     """
     if width is None:
         width = WHEEL_WIDTH if diameter > 0.2 else WHEEL_WIDTH * 2.0 / 3.0
     radius = diameter / 2.0
     count, height, thickness = grousers
-    if count:
-        if not (height > thickness / 2.0 > 0.0):
-            raise ValueError(
-                f'grousers of height {height} m and thickness {thickness} m: the height must '
-                'exceed half the thickness, both must be positive'
-            )
-        if count * thickness > math.pi * diameter:
-            raise ValueError(
-                f'{count} grousers {thickness} m thick overlap on a rim of '
-                f'{math.pi * diameter:.4g} m'
-            )
+    if count and not (height > thickness / 2.0 > 0.0):
+        raise ValueError(
+            f'grousers of height {height} m and thickness {thickness} m: the height must exceed '
+            'half the thickness, both must be positive'
+        )
+    if count * thickness > math.pi * diameter:
+        raise ValueError(
+            f'{count} grousers {thickness} m thick overlap on a rim of {math.pi * diameter:.4g} m'
+        )
     angles = 2.0 * math.pi * np.arange(WHEEL_RING_POINTS) / WHEEL_RING_POINTS
     points = [
         (radius * math.cos(angle), radius * math.sin(angle), side * width / 2)
@@ -156,10 +151,8 @@ def read_tool(path: str) -> dict:
         {"name": "wheel", "radius": 0.15, "width": 0.12, "friction": 0.5,
          "grousers": {"count": 12, "height": 0.01, "thickness": 0.004}}
 
-    Raises:
-        FileNotFoundError: there is no such file.
-        ValueError: no JSON, an unknown or missing entry, a length outside its range, an outline
-            that crosses itself; with the file.
+    FileNotFoundError: there is no such file. ValueError, with the file: no JSON, an unknown or
+    missing entry, a length outside its range, an outline that crosses itself.
     """
     with open(path, encoding='utf-8') as file:
         try:
@@ -173,33 +166,31 @@ _WHEEL = {'name', 'radius', 'width', 'friction', 'grousers'}
 
 
 def check_tool(tool: dict) -> dict:
-    """Returns a tool's description with its defaults filled in; see `read_tool`, as is the
-    ValueError."""
+    """Returns a tool's description with its defaults filled in; ValueError as `read_tool`."""
     is_wheel = isinstance(tool, dict) and 'radius' in tool
     _check_entries(tool, _WHEEL if is_wheel else _OUTLINE, 'the tool')
     name = tool.get('name', 'tool')
     if not (isinstance(name, str) and name.replace('-', '').replace('_', '').isalnum()):
         raise ValueError(f'name must be of letters, digits, - and _, got {name!r}')
-    checked = {'name': name, 'width': _length(tool, 'width')}
-    usual = WHEEL_FRICTION if is_wheel else BLADE_FRICTION
-    friction = _number({'friction': usual} | tool, 'friction', 0.0, 2.0)
+    usual = {'friction': WHEEL_FRICTION if is_wheel else BLADE_FRICTION}
+    checked = {'name': name, 'friction': _number(usual | tool, 'friction', 0.0, 2.0)}
+    for length in ('width', 'radius' if is_wheel else 'edge_radius'):
+        checked[length] = _number(tool, length)
     if is_wheel:
-        checked |= {'radius': _length(tool, 'radius'), 'friction': friction}
         if bars := tool.get('grousers'):
             _check_entries(bars, {'count', 'height', 'thickness'}, 'grousers')
             count = _number(bars, 'count', 1, 360)
             if count % 1:
                 raise ValueError(f'count of the grousers must be a whole number, got {count}')
-            lengths = {side: _length(bars, side) for side in ('height', 'thickness')}
+            lengths = {side: _number(bars, side) for side in ('height', 'thickness')}
             checked['grousers'] = {'count': int(count), **lengths}
     else:
-        checked |= {'edge_radius': _length(tool, 'edge_radius'), 'friction': friction}
         checked['outline'] = _polygon(tool.get('outline'), 'outline')
         if plates := tool.get('side_plates'):
             _check_entries(plates, {'thickness', 'outline'}, 'side_plates')
             outline = plates.get('outline') or _hull(checked['outline'])
             checked['side_plates'] = {
-                'thickness': _length(plates, 'thickness'),
+                'thickness': _number(plates, 'thickness'),
                 'outline': _polygon(outline, 'outline of the side plates', least=3),
             }
             if 2 * checked['side_plates']['thickness'] >= checked['width']:
@@ -215,15 +206,12 @@ def _check_entries(found, known, what):
         raise ValueError(f'unknown entries {unknown} of {what}; there are {sorted(known)}')
 
 
-def _number(tool, name, low, high):
+def _number(tool, name, low=1e-4, high=MAX_SIZE):
+    """A number of a description; by default a length, m."""
     value = tool.get(name)
     if not isinstance(value, (int, float)) or isinstance(value, bool) or not low <= value <= high:
         raise ValueError(f'{name} must be a number from {low:g} to {high:g}, got {value!r}')
     return float(value)
-
-
-def _length(tool, name):
-    return _number(tool, name, 1e-4, MAX_SIZE)
 
 
 def _polygon(vertices, what, least=2) -> list:
@@ -297,7 +285,7 @@ def tool_body(tool: dict) -> Body:
     """
     if 'radius' in tool:
         g = tool.get('grousers', {'count': 0, 'height': 0.0, 'thickness': 0.0})
-        bars = (g['count'], g['height'], g['thickness'])
+        bars = g['count'], g['height'], g['thickness']
         return make_wheel(2.0 * tool['radius'], tool['width'], bars, tool['friction'])
     outline = np.array(tool['outline'])
     first = int(np.argmin(np.hypot(*outline.T)))
@@ -312,10 +300,18 @@ def tool_body(tool: dict) -> Body:
     points = [(x, y, z) for x, y in places for z in columns]
     surface = outline, tool['edge_radius'], tool['width'] / 2, tool['friction']
     body = Body(*surface, points=np.array(points))
-    if plates := tool.get('side_plates'):
-        thickness, sides = plates['thickness'], np.array(plates['outline'])
-        body = body._replace(plates=sides, plate_thickness=thickness)
-    return body
+    if not (plates := tool.get('side_plates')):
+        return body
+    sides = np.array(plates['outline'])
+    return body._replace(plates=sides, plate_thickness=plates['thickness'])
+
+
+def blade_or(tool: dict | None, width: float) -> tuple[Body, dict]:
+    """Returns the body of a checked tool, without one the blade of a width (m), and what a run's
+    parameters say of it."""
+    if tool is not None:
+        return tool_body(tool), {'tool': tool}
+    return make_blade(width), {'blade_width_m': width}
 
 
 # Where a body is

@@ -53,9 +53,9 @@ def make_contact(soil: Soil, particle_volume: float, spacing: float) -> ContactL
 def contact(block, nodes, grid, near, body, law, pose, rates, dt, load):
     """Eqs. (5) and (6) at the given moment: adds forces to the nodes, writes those on the body.
 
+    The weights are those of the last exchange, to which the nodes' displacements are added.
+
     Args:
-        block: its weights are those of the last exchange, to which the nodes' displacements are
-            added.
         near: int64, the particles to look at.
         pose: x, y (m) of the reference point, angle (rad), z (m).
         rates: of the pose, m/s and rad/s.

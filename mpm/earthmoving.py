@@ -33,7 +33,6 @@ def draft_force(
         unit_weight: density x gravity, N/m3.
         heap_weight: function of the wedge's reach (m) ahead of the edge -> weight (N) of the soil
             above the original surface within it, in front of the blade; None: no heap.
-
     """
     best = math.inf
     for beta in np.linspace(math.radians(5.0), math.radians(60.0), 221):

@@ -49,21 +49,20 @@ class Experiment:
         intervals = math.ceil(seconds / EXCHANGE - 1e-9)
         order = packing.cell_order(self.particles, self.solver.grid)
         block = self.solver.block(self.particles[order])
-        moved = ()
+        moved = None
         if body is not None:
             path = pose(self.solver.dt * np.arange(intervals * self.solver.steps + 1))
-            moved = ((body, path, None, None),)
-        for loads in self.solver.advance(block, intervals, gravity, bodies=moved):
-            self.impulse += loads.sum(axis=0) * self.solver.dt
+            moved = body, path, None, None
+        loads = self.solver.advance(block, intervals, gravity, moved=moved)
+        self.impulse += loads.sum(axis=0) * self.solver.dt
         self.particles[order] = block.particles
         return intervals * EXCHANGE
 
 
 def weightless_soil(modulus: float = 1.5e6) -> Experiment:
     """Returns a block of soil, far from all walls, for a blade that stands beside it."""
-    room = Bin((0.4, 0.1, 0.8), 0.02, 0.04, (0, 0, 0), 1, 0.5, ())
     block = Bin((0.4, 0.1, 0.8), 0.02, 0.04, (30, 8, 60), 1, 0.5, ())
-    experiment = Experiment(room, block, make_soil(modulus, 0.76), lift=0.15)
+    experiment = Experiment(block, block, make_soil(modulus, 0.76), lift=0.15)
     across = experiment.particles[:, [0, 2]]
     is_kept = np.abs(across - CORNER - [0.2, 0.4]).max(axis=1) < 0.1
     experiment.particles = experiment.particles[is_kept]

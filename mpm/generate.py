@@ -118,9 +118,8 @@ def main(values) -> None:
     runs = runs or scene.mini
     names = ('youngs_modulus', 'seed', 'friction_angle_deg', 'bulk_density', 'gravity', 'slope_deg')
     settings = Settings(**{name: values[name].value for name in (*names, 'tool_friction')})
-    new = generate(
-        scene, runs, values.output_path, settings, values.num_processes, tool, values.cluster
-    )
+    how = settings, values.num_processes, tool, values.cluster
+    new = generate(scene, runs, values.output_path, *how)
     cpu = [entry['parameters']['solver_cpu_s'] for entry in new]
     print(
         f'{scene.name}: {len(new)} runs simulated, {len(runs) - len(new)} were there already, '

@@ -58,15 +58,12 @@ def make_grid(box: Bin) -> Grid:
 
 @numba.njit(**JIT)
 def start_nodes(nodes, grid, box, push, fall):
-    """Turns the scattered momentum into velocity; lists the nodes that soil touches.
+    """Turns the scattered momentum into velocity; lists the nodes that soil touches, and returns
+    how many of them are free and how many there are.
 
     Args:
-        grid: soil rests on and beyond its walls.
         box: first and last node (exclusive) per axis that can have been touched.
         push, fall: m/s, along x and downwards, that gravity adds.
-
-    Returns:
-        Numbers of free and of touched nodes.
     """
     velocity, walls = nodes.velocity, grid.walls
     zero = vectors.make(velocity, 0.0, 0.0, 0.0, 0.0)

@@ -104,35 +104,36 @@ def planned(tool: dict, count: int) -> tuple[scenes.Scene, str, list[str]]:
     return scene, kinds, list(cases)
 
 
-def errors(folder: str) -> tuple[str, list[float]]:
-    """Soil and force of a judged model, in words and as numbers; infinite of one that refused."""
-    mean = files.read_json(os.path.join(folder, 'metrics.json'))['mean']['model']
-    found = [mean.get(name) for name in ERRORS]
-    if None in found:
-        return 'refused some of them', [math.inf, math.inf]
-    return f'soil {found[0]:.2f} mm, force {found[1]:.3f}', found
+def errors(work: Work) -> list[tuple[float, str]]:
+    """Of the trained and of the shipped model: the product of the errors of soil and force,
+    infinite of one that refused, and both errors in words."""
+    found = []
+    for folder in ('judged', 'judged_as_it_is'):
+        mean = files.read_json(work.at(folder, 'metrics.json'))['mean']['model']
+        soil, force = (mean.get(name) for name in ERRORS)
+        if soil is None or force is None:
+            found.append((math.inf, 'refused some of them'))
+        else:
+            found.append((soil * force, f'soil {soil:.2f} mm, force {force:.3f}'))
+    return found
 
 
 def is_taken(work: Work) -> bool:
     """Whether the trained model is taken: the product of its errors is less."""
-    own, usual = (math.prod(errors(work.at(of))[1]) for of in ('judged', 'judged_as_it_is'))
+    (own, _), (usual, _) = errors(work)
     return own < usual
-
-
-def duration(seconds: float) -> str:
-    minutes = round(seconds / 60)
-    return f'{minutes // 60} h {minutes % 60} min' if minutes >= 60 else f'{minutes} min'
 
 
 def verdict(work: Work, kept: int, where: str) -> str:
     """The last line: what was taken, the errors of both on the runs kept back, time."""
-    own, usual = (errors(work.at(folder))[0] for folder in ('judged', 'judged_as_it_is'))
+    (_, own), (_, usual) = errors(work)
     both = (own, f'shipped model as it is: {usual}')
     if not is_taken(work):
         both = (f'shipped model as it is, {usual}', f'trained, not taken: {own}; make more --runs')
-    time_taken = duration(sum(work.state['seconds'].values()))
+    hours, minutes = divmod(round(sum(work.state['seconds'].values()) / 60), 60)
+    taken = f'{hours} h {minutes} min' if hours else f'{minutes} min'
     page = '' if os.path.exists(work.at('page.html')) else '; no page'
-    return f'{both[0]} on {kept} runs kept back; {both[1]}; {time_taken} on {where}{page}'
+    return f'{both[0]} on {kept} runs kept back; {both[1]}; {taken} on {where}{page}'
 
 
 def main(values, arguments) -> None:

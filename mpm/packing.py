@@ -49,8 +49,7 @@ def lattice(box: Bin, seed: int) -> np.ndarray:
     positions = np.stack([x, y, k + 0.5], axis=-1).reshape(-1, 3)
     positions += np.random.default_rng(seed).uniform(-JITTER, JITTER, positions.shape)
     # A jittered plane at the end of the bin would stand in the wall.
-    length = box.lattice[0]
-    positions[:, 0] = np.clip(positions[:, 0], 1e-3, length - 1e-3)
+    positions[:, 0] = np.clip(positions[:, 0], 1e-3, box.lattice[0] - 1e-3)
     particles = np.zeros((len(positions), columns.COLUMNS))
     particles[:, :3] = CORNER + positions * spacing
     particles[:, columns.VOLUME_RATIO] = 1.0
@@ -78,11 +77,8 @@ def settle(box: Bin, youngs_modulus: float, seed: int) -> tuple[np.ndarray, dict
     """Gives the lattice of a soil (Young's modulus in Pa) the stress of soil at rest on the Earth,
     and lets it settle.
 
-    Returns:
-        The particle array [N, COLUMNS], at rest, and its statistics.
-
-    Raises:
-        ValueError: if the soil does not come to rest, or a step fails (`Solver.advance`).
+    Returns the particle array [N, COLUMNS], at rest, and its statistics. ValueError: the soil does
+    not come to rest, or a step fails (`Solver.advance`).
     """
     grid, soil = make_grid(box), make_soil(youngs_modulus, PACKING_MU_S)
     particles = at_rest(lattice(box, seed), soil, box.surface, EARTH_GRAVITY)

@@ -30,7 +30,13 @@ def outline(body, pose) -> np.ndarray:
     """Returns the outline of a body seen from the side, closed, float64 [K, 2], m; a polygon
     without the radius of its edges."""
     if body.is_wheel:
-        ring = _rim(body)
+        turn = np.linspace(-np.pi / 2, 3 * np.pi / 2, max(2 * POINTS, 8 * body.grousers + 1))
+        reach = np.full(len(turn), body.radius)
+        if body.grousers:
+            pitch = 2 * np.pi / body.grousers
+            away = np.abs(np.mod(turn + pitch / 2, pitch) - pitch / 2)
+            reach += body.grouser_height * (away < body.grouser_radius / body.radius + pitch / 16)
+        ring = reach[:, None] * np.stack([np.cos(turn), np.sin(turn)], axis=1)
     elif len(body.outline) == 2:
         low, high = body.outline
         along = np.arctan2(*(high - low)[::-1])
@@ -44,22 +50,11 @@ def outline(body, pose) -> np.ndarray:
     return ring @ np.array(turned) + [x, y]
 
 
-def _rim(body):
-    turn = np.linspace(-np.pi / 2, 3 * np.pi / 2, max(2 * POINTS, 8 * body.grousers + 1))
-    reach = np.full(len(turn), body.radius)
-    if body.grousers:
-        pitch = 2 * np.pi / body.grousers
-        away = np.abs(np.mod(turn + pitch / 2, pitch) - pitch / 2)
-        reach += body.grouser_height * (away < body.grouser_radius / body.radius + pitch / 16)
-    return reach[:, None] * np.stack([np.cos(turn), np.sin(turn)], axis=1)
-
-
 def draw_motion(axes, scene: scenes.Scene, motion: catalogue.Motion) -> None:
     """Draws one run into matplotlib's `axes`; a free wheel is drawn on the flat surface."""
     box, drive = scene.bin, motion.drive
     times = np.arange(motion.simulated_frames + 1) / scenes.FRAME_RATE
-    poses = drive.pose(times)
-    body = drive.body
+    poses, body = drive.pose(times), drive.body
     rides = drive.machine is not None and body.is_wheel
     if rides:
         poses[:, 1] = box.surface + body.reach
@@ -78,8 +73,8 @@ def draw_motion(axes, scene: scenes.Scene, motion: catalogue.Motion) -> None:
         if rides:  # the turn of the wheel
             spoke = np.array([poses[frame, :2], ring[0]])
             axes.plot(spoke[:, 0], spoke[:, 1], color=str(shade), linewidth=0.8)
-    width = 2 * body.half_width
-    axes.set_title(f'{scene.name} {motion.case}, {width:.3g} m wide', fontsize=8, loc='left')
+    title = f'{scene.name} {motion.case}, {2 * body.half_width:.3g} m wide'
+    axes.set_title(title, fontsize=8, loc='left')
     axes.set_aspect('equal')
     axes.set_xlim(low - 0.02, right + 0.2)
     axes.set_ylim(low - 0.02, box.surface + (0.32 if body.is_wheel else 0.42))

@@ -7,6 +7,7 @@ has other bytes than it says, does not count as done.
 
 import dataclasses
 import hashlib
+import itertools
 import json
 import os
 from typing import TYPE_CHECKING
@@ -26,6 +27,7 @@ def file_name(case: int | str) -> str:
 
 
 def write_run(folder: str, run: 'RawRun') -> dict:
+    """Writes a run into a folder; returns its entry of the manifest."""
     case = run.parameters['case']
     path = os.path.join(folder, file_name(case))
     write_npz(path, **arrays_of(run), parameters=np.array(json.dumps(run.parameters)))
@@ -104,16 +106,15 @@ def finished_runs(folder: str, scene: scenes.Scene, settings: dict) -> list[dict
             f'{folder} holds runs of the scene {manifest["scene"]["name"]!r}, not {scene.name!r}; '
             'name another folder'
         )
-    finished = []
-    for entry in manifest['runs']:
-        for name, value in settings.items():
-            made = entry.get('parameters', {}).get(name)
-            if made != value:
-                raise ValueError(
-                    f'{folder}: {entry["file"]} was made with {name} = {made!r}, not '
-                    f'{value!r}; name another folder'
-                )
+    for entry, (name, value) in itertools.product(manifest['runs'], settings.items()):
+        if (made := entry.get('parameters', {}).get(name)) != value:
+            raise ValueError(
+                f'{folder}: {entry["file"]} was made with {name} = {made!r}, not {value!r}; name '
+                'another folder'
+            )
+
+    def is_whole(entry):
         path = os.path.join(folder, entry['file'])
-        if os.path.exists(path) and os.path.getsize(path) == entry['bytes']:
-            finished.append(entry)
-    return finished
+        return os.path.exists(path) and os.path.getsize(path) == entry['bytes']
+
+    return [entry for entry in manifest['runs'] if is_whole(entry)]

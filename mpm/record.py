@@ -42,11 +42,8 @@ PARTS = {
     'excavation_grid': (scenes.EXCAVATION, ()),
     'wheel_free': (scenes.WHEEL, wheel_drives.TURNS),
     'wheel_height': (scenes.WHEEL, ('height',)),
-    'wheels': (scenes.WHEEL, ('wheels',)),
-    'grousers': (scenes.WHEEL, ('grousers',)),
-    'wheel_brief': (scenes.WHEEL, ('brief',)),
-    'wheel_rut': (scenes.WHEEL, ('rut',)),
-    'wheel_tow': (scenes.WHEEL, ('tow',)),
+    **{kind: (scenes.WHEEL, (kind,)) for kind in ('wheels', 'grousers')},
+    **{f'wheel_{kind}': (scenes.WHEEL, (kind,)) for kind in ('brief', 'rut', 'tow')},
     'wheel_grid': (scenes.WHEEL, ()),
 }
 DIGESTS = 'digests.json'
@@ -144,21 +141,14 @@ def make(
             continue
         print(f'{part}: {len(new)} new runs in {folder}; {time.time() - started:.0f} s', flush=True)
     found = {}
-    for scene in {PARTS[part][0].name: PARTS[part][0] for part in parts}.values():
-        folder = os.path.join(output_path, scene.name)
+    for name in dict.fromkeys(PARTS[part][0].name for part in parts):
+        folder = os.path.join(output_path, name)
         if os.path.isdir(folder):
-            found[scene.name] = digests_of(folder)
-            write_json(os.path.join(folder, DIGESTS), {scene.name: found[scene.name]}, indent=0)
+            found[name] = digests_of(folder)
+            write_json(os.path.join(folder, DIGESTS), {name: found[name]}, indent=0)
     if failures:
         raise ValueError('\n'.join(failures))
     return found
-
-
-def _read_digests(path) -> dict[str, dict]:
-    content = read_json(path)
-    if not isinstance(content, dict) or not all(isinstance(v, dict) for v in content.values()):
-        raise ValueError(f'{path}: holds no digests (scene -> run -> digest)')
-    return content
 
 
 def define_flags() -> None:
@@ -182,7 +172,9 @@ def main(values) -> int:
         return 0
     if values.output_path is None:
         raise ValueError('give --output_path, or --list to see what would be made')
-    expected = _read_digests(values.expect) if values.expect else {}
+    expected = read_json(values.expect) if values.expect else {}
+    if not isinstance(expected, dict) or not all(isinstance(v, dict) for v in expected.values()):
+        raise ValueError(f'{values.expect}: holds no digests (scene -> run -> digest)')
     where = values.output_path, values.num_processes, selection, values.cluster
     found, code = make(values.parts, *where), 0
     for name, digests in found.items():

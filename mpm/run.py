@@ -51,10 +51,10 @@ def prepared(
     motion = motion_of(scene, case, tool)
     own = {name: getattr(settings, name) for name in motion.ground._fields}
     ground = motion.ground._replace(**{k: v for k, v in own.items() if v is not None})
-    drive = motion.drive
+    body = motion.drive.body
     if settings.tool_friction is not None:
-        body = drive.body._replace(friction=settings.tool_friction)
-        drive = dataclasses.replace(drive, body=body)
+        body = body._replace(friction=settings.tool_friction)
+    drive = dataclasses.replace(motion.drive, body=body)
     motion = dataclasses.replace(motion, ground=ground, drive=drive)
     soil, cell = soil_of(motion, settings), min(scene.bin.dx, scene.bin.dz)
     steps = settings.steps or stability.steps_in(settings.exchange, soil, cell)
@@ -73,8 +73,8 @@ def make_simulation(
 ) -> Simulation:
     """Returns the simulation of a motion (`prepared`) on a packing, float64 [N, COLUMNS]."""
     soil, ground = soil_of(motion, settings), motion.ground
-    pull = ground.gravity, ground.slope_deg
-    return Simulation(scene.bin, motion.drive, soil, particles, settings, *pull)
+    given = scene.bin, motion.drive, soil, particles, settings
+    return Simulation(*given, ground.gravity, ground.slope_deg)
 
 
 def run_case(
@@ -90,10 +90,8 @@ def run_case(
 
     `case` and `tool` are those of `catalogue.motion_of`, `packed` the settled particles and their
     statistics (`packing.settle`); `on_frame` is called with the number of simulated frames, those
-    of a lead-in included.
-
-    Raises:
-        ValueError: a body that sinks to the floor; see also `prepared` and `Simulation`.
+    of a lead-in included. ValueError: a body that sinks to the floor, or as `prepared` and
+    `Simulation`.
     """
     started = time.process_time()
     motion = prepared(scene, case, settings, tool)
@@ -174,9 +172,8 @@ def _seen(scene, motion, simulation, heights, force, torque) -> dict:
 def _refuse_sunk(simulation: Simulation) -> None:
     if not simulation.free.mass.any():
         return
-    body, (x, y, theta, _) = simulation.drive.body, simulation.pose
-    box = simulation.box
-    lowest = y + float(bodies.lowest(body, np.array(theta)))
+    box, (x, y, theta, _) = simulation.box, simulation.pose
+    lowest = y + float(bodies.lowest(simulation.drive.body, np.array(theta)))
     if not lowest > scenes.CORNER:
         raise ValueError(
             f'the body sank to the floor at {simulation.time:.3f} s (lowest point at y = '

@@ -134,11 +134,7 @@ WHEEL = Scene(
     ),
     demo_case=122,
     bin=sampled(
-        (0.4, 0.058, WHEEL_BIN_WIDTH),
-        0.4 / 96,
-        WHEEL_BIN_WIDTH / 15,
-        7,
-        0.2,
+        (0.4, 0.058, WHEEL_BIN_WIDTH), 0.4 / 96, WHEEL_BIN_WIDTH / 15, 7, 0.2,
         ((0.0, 0.7), (0.0, 0.6), (0.0, 0.4)),
     ),
 )  # fmt: skip
@@ -152,9 +148,8 @@ SMALL_WHEEL_LOAD_DIVISOR = 9.0
 
 def wheel_load(parameters: dict) -> float:
     """Returns the load on the wheel in N; the smallest wheel carries a ninth."""
-    if parameters['diameter_m'] < 0.1:
-        return parameters['load_N'] / SMALL_WHEEL_LOAD_DIVISOR
-    return parameters['load_N']
+    is_small = parameters['diameter_m'] < 0.1
+    return parameters['load_N'] / (SMALL_WHEEL_LOAD_DIVISOR if is_small else 1.0)
 
 
 class Ground(NamedTuple):

@@ -89,9 +89,8 @@ class Simulation:
     ):
         """Puts the body in its first pose; one that has a `rest` sinks in until it rests.
 
-        `particles` is the settled packing, float64 [N, COLUMNS]; gravity is in m/s2; slope_deg as
-        `scenes.Ground` has it: what presses a tool stays square to the ground.
-        ValueError: a step that is not stable, or what `frame` raises.
+        `particles` is the settled packing, float64 [N, COLUMNS]; gravity (m/s2) leans by slope_deg,
+        what presses a tool does not. ValueError: a step that is not stable, or as `frame`.
         """
         self.box, self.soil, self.drive, self.gravity = box, soil, drive, gravity
         self._slope = math.radians(slope_deg)
@@ -122,10 +121,8 @@ class Simulation:
         mass = machine.masses()
         stiffness, damping = np.array(machine.stiffness), np.array(machine.damping)
         is_free = mass > 0.0
-        rate = np.zeros(3)
-        rate[is_free] = np.maximum(
-            np.sqrt(stiffness[is_free] / mass[is_free]), damping[is_free] / mass[is_free]
-        )
+        per_mass = np.divide(1.0, mass, out=np.zeros(3), where=is_free)
+        rate = np.maximum(np.sqrt(stiffness * per_mass), damping * per_mass)
         if not (rate * self.dt <= STIFFEST).all():
             raise ValueError(
                 f'an actuator of {stiffness} N/m and {damping} N s/m on {mass} kg answers at '
@@ -141,12 +138,9 @@ class Simulation:
     def frame(self) -> tuple[np.ndarray, np.ndarray]:
         """Advances by one frame.
 
-        Returns:
-            Force [3] (N) of the soil on the body and its torque [3] (N m) about the body's
-            reference point, both means over the frame and from the same sum of impulses.
-
-        Raises:
-            ValueError: a particle leaves the grid, or it or the body moves too fast for the step.
+        Returns force [3] (N) of the soil on the body and its torque [3] (N m) about the body's
+        reference point, means over the frame. ValueError: a particle leaves the grid, or it or the
+        body moves too fast for the step.
         """
         mean = self._advance(1.0)
         self._frame += 1
@@ -157,29 +151,27 @@ class Simulation:
         """Advances the steps of a frame from `time`; returns the mean load [6] on the body."""
         times = self.time + np.arange(self.steps + 1) * self.dt
         body, path = self.drive.body, self.drive.pose(times)
-        is_free = self.free.mass > 0.0
         fixed = path.copy()
-        fixed[:, :3][:, is_free] = 0.0
+        fixed[:, :3] = np.where(self.free.mass > 0.0, 0.0, path[:, :3])
         stability.check_body_motion(fixed, body.reach, self.dt, self.grid.dx, self.time)
         if self._awake is None or self._age >= PERIOD:
             self._wake()
         elif self._block is None:
             self._block = self._solver.block(self._particles[self._awake])
         self._age += 1
-        external = None
-        if self.drive.machine is not None:
-            external = share_of_load * self.drive.machine.force(times)
-        moved = ((body, path, external, self.free),)
+        machine = self.drive.machine
+        external = None if machine is None else share_of_load * machine.force(times)
+        moved = body, path, external, self.free
         try:
-            (loads,) = self._solver.advance(
-                self._block, self._intervals, self.gravity, bodies=moved, slope=self._slope
+            loads = self._solver.advance(
+                self._block, self._intervals, self.gravity, moved=moved, slope=self._slope
             )
         except ValueError as error:
             raise ValueError(f'{error}, {self.time:.3f} s after the start') from error
         self.loads = _means(loads, SUBFRAMES)
         v = self._block.particles[:, columns.V : columns.V + 3]  # type: ignore[attr-defined]
         cell_speed = self.grid.dx / self._solver.exchange
-        cells = np.sqrt((v * v).sum(axis=1)) / cell_speed
+        cells = np.linalg.norm(v, axis=1) / cell_speed
         many = np.count_nonzero(cells > stability.VELOCITY_CFL) > SPRAY * len(cells)
         if many or not cells.max(initial=0.0) <= stability.SPRAY_CFL:
             raise ValueError(
@@ -192,11 +184,9 @@ class Simulation:
     def _wake(self) -> None:
         self._put_back()
         times = self.time + np.arange(PERIOD + 1) / FRAME_RATE
-        path = self.drive.pose(times)
-        is_free = self.free.mass > 0.0
+        path, q = self.drive.pose(times), self._particles
         coming = self.free.state[0] + (times - self.time)[:, None] * self.free.state[1]
-        path[:, :3] = np.where(is_free, coming, path[:, :3])
-        q = self._particles
+        path[:, :3] = np.where(self.free.mass > 0.0, coming, path[:, :3])
         awake = self._sleep.awake(q[:, :3], self.drive.body, path, PERIOD / FRAME_RATE)
         q[~awake, columns.V : columns.S] = 0.0
         self._solver.nodes.asleep[:] = self._sleep.nodes_asleep(q[~awake, :3])
@@ -226,9 +216,8 @@ class Simulation:
     @property
     def pose(self) -> np.ndarray:
         """x and y (m) of the body's reference point, its angle (rad) and z (m) now, float64 [4]."""
-        pose = self.target.copy()
-        is_free = self.free.mass > 0.0
-        pose[:3][is_free] = self.free.state[0][is_free]
+        pose = self.target
+        pose[:3] = np.where(self.free.mass > 0.0, self.free.state[0], pose[:3])
         return pose
 
     def positions(self) -> np.ndarray:

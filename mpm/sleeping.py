@@ -22,8 +22,7 @@ BODY_REACH = 0.08  # around the body
 
 
 class Sleep:
-    """Which particles are awake, from what they did in the last periods; all of them if it is not
-    on."""
+    """Which particles are awake, from what they did in the last periods; all if it is not on."""
 
     def __init__(self, grid: Grid, is_on: bool):
         self.is_on = is_on

@@ -42,6 +42,7 @@ from mpm.transfers import WEIGHTS, grid_to_particles, particles_to_grid, strain_
 
 EXCHANGE = 1.0 / 540.0  # s; 9 intervals are a frame
 NEAR = 2.0  # cells from the body's surface within which contact is looked for, at the least
+FAR = 1e6  # m, where a body is that touches nothing
 FREE_PUSH = 50.0  # m/s2, by which a free body may be pushed during a call of `Solver.advance`
 
 
@@ -75,15 +76,12 @@ class Nodes(NamedTuple):
 class Free(NamedTuple):
     """The coordinates x, y and angle of a body that are free, and what drives them: eq. (7)."""
 
-    # float64 [2, 3], coordinates (m, m, rad) and their rates; `advance` works in place
-    state: np.ndarray
+    state: np.ndarray  # float64 [2, 3], coordinates (m, m, rad) and their rates; changes in place
     # float64 [3]: mass (kg) for x and y, moment of inertia about the reference point (kg m2) for
     # the angle; 0: the coordinate follows the path
     mass: np.ndarray
-    # stiffness, damping: float64 [3], k (N/m, N m/rad) and c (N s/m, N m s/rad) of the actuator
-    # that pulls towards the path
-    stiffness: np.ndarray
-    damping: np.ndarray
+    stiffness: np.ndarray  # float64 [3], k of the actuator that pulls to the path, N/m, N m/rad
+    damping: np.ndarray  # float64 [3], c, N s/m, N m s/rad
 
 
 class Motion(NamedTuple):
@@ -101,14 +99,6 @@ class Motion(NamedTuple):
     # float64 [steps, 6], filled: mean force (N) of the soil on the body in each step, and torque (N
     # m) about its reference point
     loads: np.ndarray
-
-
-def no_body(steps: int) -> Motion:
-    """Returns the motion of a body that touches nothing, where `advance` has no other."""
-    body = make_wheel(1e-3)
-    none, still = np.zeros(0, dtype=np.int64), np.zeros((steps + 1, 4))
-    law = ContactLaw(0.0, 0.0)
-    return Motion(body, law, still, still[:, :3].copy(), prescribed(), none, np.zeros((steps, 6)))
 
 
 def prescribed() -> Free:
@@ -175,23 +165,19 @@ def _act(block, nodes, grid, motion, step, last, dt, share, drift, load):
 @numba.njit(**JIT)
 def advance(
     block, nodes, grid, intervals, steps, dt, soil, volume, damping_time, along, down, settling,
-    motions, status
+    motion, status
 ):  # fmt: skip
     """Advances the soil (and what is free of the bodies) by exchange intervals. Works in place.
 
     Args:
-        block: of the nodes' type.
         nodes: all zero but for `asleep`; zero again afterwards.
-        intervals: how many.
-        steps: per interval.
+        intervals, steps: how many, and steps in each.
         dt: time step, s. The caller has checked it (`stability`).
         volume: m3 of packed soil per particle.
         damping_time: s, of elastic waves (`stability.damping_time`).
         along, down: m/s2, gravity along x and -y.
         settling: factor on grid velocities at each kick (`steps` + 1 an interval): 1, or less to
             settle a packing.
-        motions: tuple of `Motion`, one for each body, at least one (`no_body`); no particle is near
-            two of them.
         status: int64 [2]: error code, row of the block.
     """
     load = np.zeros(6)
@@ -207,9 +193,8 @@ def advance(
             drift = dt if k < steps else 0.0
             if k > 0:
                 strain_and_force(block, nodes, grid, dt, volume, soil, damping_time)
-            for m in range(len(motions)):
-                last = interval * steps + steps - 1
-                _act(block, nodes, grid, motions[m], step, last, dt, share, drift, load)
+            last = interval * steps + steps - 1
+            _act(block, nodes, grid, motion, step, last, dt, share, drift, load)
             # The first half kick of gravity and of the soil's own forces is in the velocity.
             pull = 1.0 if k > 0 else 0.0
             kick(nodes, grid, free, share, pull * along, pull * down, settling, drift)
@@ -220,11 +205,8 @@ def advance(
 class Solver:
     """`advance` with its work space, for one soil on one grid.
 
-    Attributes:
-        volume: m3 of packed soil per particle.
-        exchange: s, between two exchanges.
-        steps: per exchange interval.
-        dt: time step, s.
+    Attributes: volume, m3 of packed soil per particle; exchange, s, between two exchanges; steps,
+    per exchange interval; dt, the time step, s.
     """
 
     def __init__(
@@ -256,68 +238,65 @@ class Solver:
         intervals: int,
         gravity: float,
         settling: float = 1.0,
-        bodies: tuple = (),
+        moved: tuple | None = None,
         slope: float = 0.0,
-    ) -> list[np.ndarray]:
+    ) -> np.ndarray:
         """Advances a block by some exchange intervals, in place.
 
         Args:
-            block: `Block`.
-            intervals: how many.
-            gravity, settling: of `advance`.
-            bodies: tuples (`Body`, path, external, `Free`) of `Motion`, the last two may be None.
+            block, intervals, settling: of the kernel `advance`.
+            gravity: m/s2.
+            moved: `Body`, path, external, `Free` of `Motion`, the last two may be None; None: there
+                is no body.
             slope: rad, by which gravity leans to +x: the ground rises towards -x.
 
         Returns:
-            For each body float64 [steps, 6]: force (N) of the soil on it in each step and torque
-            (N m) about its reference point; an impulse is their sum times `dt`.
+            float64 [steps, 6]: force (N) of the soil on the body in each step and torque (N m)
+            about its reference point; an impulse is their sum times `dt`.
 
         Raises:
             ValueError: if a particle leaves the grid or is turned inside out; if a free body is
-                thrown; bodies so close that both may touch one particle.
+                thrown.
         """
         count = intervals * self.steps
-        motions, reaches = [], []
-        taken = np.zeros(len(block.particles), dtype=bool)
-        for body, path, external, free in bodies:
-            free = prescribed() if free is None else free
-            external = np.zeros((count + 1, 3)) if external is None else external
-            near, reach = self._near(block, body, path, free)
-            if shared := np.count_nonzero(taken[near]):
-                raise ValueError(f'two bodies are so close that both may touch {shared} particles')
-            taken[near] = True
-            reaches.append((free.state[0].copy(), reach))
-            loads = np.zeros((count, 6))
-            motions.append(Motion(body, self.law, path, external, free, near, loads))
+        if moved is None:
+            moved = make_wheel(1e-3), np.full((count + 1, 4), FAR), None, None
+        body, path, external, free = moved
+        free = prescribed() if free is None else free
+        external = np.zeros((count + 1, 3)) if external is None else external
+        near, reach = self._near(block, body, path, free)
+        before, loads = free.state[0].copy(), np.zeros((count, 6))
         # What no body can touch has lost its grip.
-        block.particles[~taken, GRIP : GRIP + 3] = 0.0
+        is_far = np.ones(len(block.particles), dtype=bool)
+        is_far[near] = False
+        block.particles[is_far, GRIP : GRIP + 3] = 0.0
         status = np.zeros(2, dtype=np.int64)
         advance(
             block, self.nodes, self.grid, intervals, self.steps, self.dt, self.soil, self.volume,
             damping_time(self.soil, self.grid.dx), gravity * math.sin(slope),
-            gravity * math.cos(slope), settling, tuple(motions) or (no_body(count),), status,
+            gravity * math.cos(slope), settling,
+            Motion(body, self.law, path, external, free, near, loads), status,
         )  # fmt: skip
         if status[0] != OK:
             place = block.particles[status[1], X : X + 3]
             what = {LEFT_GRID: 'left the grid', TURNED_INSIDE_OUT: 'was turned inside out'}
             raise ValueError(f'a particle {what[int(status[0])]} at {place} m')
-        for motion, (before, reach) in zip(motions, reaches):
-            way = np.abs(motion.free.state[0] - before) * (motion.free.mass > 0.0)
-            way = np.hypot(way[0], way[1]) + way[2] * motion.body.reach
-            if not way <= reach:
-                raise ValueError(
-                    f'a free body moved by {way:.3g} m where {reach:.3g} m were expected at its '
-                    'speed: its load throws it'
-                )
-        return [motion.loads for motion in motions]
+        way = np.abs(free.state[0] - before) * (free.mass > 0.0)
+        way = np.hypot(way[0], way[1]) + way[2] * body.reach
+        if not way <= reach:
+            raise ValueError(
+                f'a free body moved by {way:.3g} m where {reach:.3g} m were expected at its '
+                'speed: its load throws it'
+            )
+        return loads
 
     def _near(self, block, body, path, free):
         """Rows of the particles that a body can touch during its path, and the way it may go."""
         start, is_free = path[0].copy(), free.mass > 0.0
-        start[:3][is_free] = free.state[0][is_free]
+        start[:3] = np.where(is_free, free.state[0], start[:3])
         # How far body and soil can come closer: the body's way, and the fastest particle's.
         fixed = np.abs(path - path[0])
-        fixed[:, :3][:, is_free] = 0.0
+        fixed[:, :3] = np.where(is_free, 0.0, fixed[:, :3])
         way = np.linalg.norm(fixed[:, [0, 1, 3]], axis=1).max() + fixed[:, 2].max() * body.reach
         seconds = (len(path) - 1) * self.dt
         pushed = np.where(is_free, np.abs(free.state[1]) * seconds, 0.0)

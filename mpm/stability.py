@@ -53,12 +53,9 @@ def check_body_motion(path: np.ndarray, reach: float, dt: float, dx: float, star
     """Refuses a body that jumps over cells (ValueError): soil could pass through it between two
     steps.
 
-    Args:
-        path: float64 [steps + 1, 3 or 4], its poses at the steps' ends, x and y in m (constant
-            where they are not prescribed), angle in rad.
-        reach: largest distance of its outline from the reference point, m.
-        dt, dx: time step (s) and cell size (m).
-        start: time of the first pose, s, for the message.
+    `path` [steps + 1, 3 or 4] are its poses at the steps' ends, x and y in m (constant where they
+    are not prescribed), angle in rad; `reach` is the largest distance of its outline from the
+    reference point, m; dt and dx are in s and m; `start` is the time of the first pose, s.
     """
     change = np.diff(path, axis=0)
     travel = np.hypot(change[:, 0], change[:, 1]) + reach * np.abs(change[:, 2])

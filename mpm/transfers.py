@@ -68,8 +68,7 @@ def scatter(grid, base, strides, kept, at, affine):
     """Adds w (first + i along_x + j along_y + k along_z) to the 27 nodes around a particle.
 
     Args:
-        grid: [4 nodes], float32 or float64.
-        base: index of node (0, 0, 0) of the 27 in `grid`.
+        grid: [4 nodes], float32 or float64; base: index of node (0, 0, 0) of the 27 in it.
         strides: steps of the index along x and y; z is 4.
         kept, at: `Block.weights` and where the particle's begin.
         affine: four registers of four: at the particle, and the change per cell along x, y, z.
@@ -162,24 +161,21 @@ def particles_to_grid(block, velocity, grid, half_step, volume, soil, status):
     Fills `block.base`, `weights` and `elastic` for the interval; adds to `velocity`.
 
     Args:
-        block: of the particles that are awake.
         velocity: float64 [4 nodes], zero: momentum (N s) and mass (kg) afterwards.
         half_step: half a time step, s.
         volume: of a particle as packed, m3.
         status: int64 [2]: code and row of the block are set on an error.
 
-    Returns:
-        First and last node (exclusive) per axis that can have been touched, six integers.
+    Returns first and last node (exclusive) per axis that can have been touched, six integers.
     """
     q = block.particles
     nx, ny, nz = grid.shape
     inverse, inverse_z = 1.0 / grid.dx, 1.0 / grid.dz
     strides = strides_of(grid.shape)
-    dx, dz = grid.dx, grid.dz
     # -dt/2 V / D per cell, and the columns of C per cell: what a node one cell on gets more.
     plane, across = -half_step * volume * 4.0 * inverse, -half_step * volume * 4.0 * inverse_z
     mass = volume * soil.bulk_density
-    mass_x, mass_z = mass * dx, mass * dz
+    mass_x, mass_z = mass * grid.dx, mass * grid.dz
     i0, i1, j0, j1, k0, k1 = nx, 0, ny, 0, nz, 0
     for n in range(len(q)):
         gx = (q[n, 0] - grid.origin[0]) * inverse - 0.5

@@ -164,10 +164,7 @@ def scale(typing, factor, a):
 def _elementwise(operation):
     @intrinsic
     def combine(typing, a, b):
-        def code(context, builder, signature, args):
-            return getattr(builder, operation)(*args)
-
-        return a(a, a), code
+        return a(a, a), lambda context, builder, signature, args: getattr(builder, operation)(*args)
 
     return combine
 

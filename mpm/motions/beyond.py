@@ -41,7 +41,7 @@ WHEELS = {
     'usual': {},
     'spins': {'slip': 1.0},
 }
-NAMES = {'excavation': tuple(BLADES), 'wheel': tuple(WHEELS)}
+NAMES = {'excavation': tuple(BLADES), 'wheel': tuple(WHEELS)}  # in the order of their numbers
 
 
 def beyond_drive(
@@ -49,8 +49,7 @@ def beyond_drive(
 ) -> tuple[Drive, dict]:
     """Returns the drive of a number and its parameters, JSON-compatible; `plot` names it.
 
-    Raises:
-        ValueError: there is no such number, or a tool of its own is asked for.
+    ValueError: there is no such number, or a tool of its own is asked for.
     """
     names = NAMES[scene.name]
     if seed >= len(names) or tool is not None:
@@ -60,7 +59,7 @@ def beyond_drive(
         drive, parameters = _blade(scene.bin, **BLADES[plot])
     else:
         drive, parameters = _wheel(scene, **WHEELS[plot])
-    return drive, {'kind': kind, 'path_seed': seed, 'plot': plot, **parameters}
+    return drive, {'plot': plot, **parameters}
 
 
 def _blade(
@@ -102,7 +101,7 @@ def _wheel(
         return poses(times, grid.WHEEL_START_X - way, 0.0, turned / radius, z)
 
     drive = Drive(bodies.tool_body(tool), pose, under_load(load), rest=grid.REST_FRAMES)
-    context = scene.parameters(122) | {
+    context = scene.parameters(scene.demo_case) | {
         'diameter_m': 2.0 * radius, 'load_N': load, 'tool': tool,
         'friction_angle_deg': friction_deg, 'ground': {'slope_deg': slope},
     }  # fmt: skip

@@ -13,7 +13,8 @@ from mpm.motions import beyond, grid, machine_drives, operator_paths, wheel_driv
 from mpm.motions.drive import Drive
 from mpm.motions.recording import Recording, recorded_drive
 
-# Scene -> kind -> what draws a drive and its parameters from scene, kind, seed and tool.
+# Scene -> kind -> what draws a drive and its parameters, those of its own, from scene, kind, seed
+# and tool.
 _DRAWS = {
     'excavation': dict.fromkeys(operator_paths.KINDS, operator_paths.operator_drive)
     | dict.fromkeys(machine_drives.KINDS, machine_drives.machine_drive)
@@ -34,7 +35,7 @@ class Motion:
     drive: Drive  # the body and its motion
     parameters: dict  # what was drawn or chosen, JSON-compatible; `kind` is among them
     frames: int  # driven frames that are recorded
-    ground: scenes.Ground  # friction, density, gravity
+    ground: scenes.Ground
 
     @property
     def simulated_frames(self) -> int:
@@ -55,8 +56,7 @@ def bin_name(scene: scenes.Scene, case: int | str | Recording) -> str | None:
 
 def in_bin(scene: scenes.Scene, case: int | str | Recording) -> scenes.Scene:
     """Returns the scene with the bin that a run needs."""
-    name = bin_name(scene, case)
-    if name is None:
+    if (name := bin_name(scene, case)) is None:
         return scene
     return dataclasses.replace(scene, bin=scene.other_bins[name], other_bins={})
 
@@ -66,8 +66,8 @@ def motion_of(scene: scenes.Scene, case: int | str | Recording, tool: dict | Non
     (`bodies.check_tool`).
 
     Raises:
-        ValueError: there is no such case, kind or seed, or the file is not a path; a wheel where a
-            blade is expected, or the other way round.
+        ValueError: there is no such case, kind or seed, or the file is not a path; a tool of the
+            other scene.
         FileNotFoundError: there is no such file.
     """
     if tool is not None and ('radius' in tool) != (scene.name == 'wheel'):
@@ -79,16 +79,15 @@ def motion_of(scene: scenes.Scene, case: int | str | Recording, tool: dict | Non
         ground = scenes.ground_of(scene, parameters)
         return Motion(case.case, drive, parameters, max(frames, usual), ground)
     if isinstance(case, int):
-        parameters = scene.parameters(case)
+        parameters = {'kind': 'grid', **scene.parameters(case)}
         drive = grid.make_drive(scene, parameters)
-        ground = scenes.ground_of(scene, parameters)
-        kept = {'kind': 'grid', **parameters}
         if tool is not None:
             drive = dataclasses.replace(drive, body=bodies.tool_body(tool))
-            kept['tool'] = tool
-        return Motion(case, drive, kept, usual, ground)
+            parameters['tool'] = tool
+        return Motion(case, drive, parameters, usual, scenes.ground_of(scene, parameters))
     kind, seed = parse(scene, case)
-    drive, parameters = _DRAWS[scene.name][kind](scene, kind, seed, tool)
+    drive, drawn = _DRAWS[scene.name][kind](scene, kind, seed, tool)
+    parameters = {'kind': kind, 'path_seed': seed, **drawn}
     ground = scenes.ground_of(scene, parameters)._replace(**parameters.pop('ground', {}))
     frames = parameters.pop('frames', usual)
     return Motion(seed_case(kind, seed), drive, parameters, frames, ground)
@@ -116,8 +115,7 @@ def select_seeds(scene: scenes.Scene, seeds: str, kinds: str | None = None) -> t
     ValueError: an unknown kind, or seeds that are no numbers or named twice.
     """
     chosen = TURNS[scene.name] if kinds is None else tuple(k.strip() for k in kinds.split(','))
-    unknown = [kind for kind in chosen if kind not in KINDS[scene.name]]
-    if unknown:
+    if unknown := [kind for kind in chosen if kind not in KINDS[scene.name]]:
         raise ValueError(
             f'unknown kinds {unknown} of {scene.name}; there are {", ".join(KINDS[scene.name])}'
         )

@@ -85,11 +85,9 @@ def first_that_fits(
     what: str,
     is_fine: Callable[[Drive, dict], bool] = lambda drive, drawn: True,
 ) -> tuple[Drive, dict]:
-    """Returns the first of `TRIES` drawn motions that the bin has room for, and that `is_fine`.
-
-    `draw` gives a motion and its parameters, `frames` among them if they are not as usual.
-    ValueError, with `what` is drawn: there is none.
-    """
+    """Returns the first of `TRIES` drawn motions (and their parameters, `frames` among them if they
+    are not as usual) that the bin has room for, and that `is_fine`. ValueError, with `what` is
+    drawn: there is none."""
     for _ in range(TRIES):
         drive, drawn = draw()
         try:

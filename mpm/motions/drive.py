@@ -72,16 +72,13 @@ class Levels:
     s is the path of least jerk between two rests (Flash and Hogan 1985, J. Neurosci. 5, 1688): each
     piece is monotonic, so the curve never leaves the range of its levels, and its first two
     derivatives vanish at the ends, so it is twice continuously differentiable. Its steepest
-    slope is `PEAK` times the mean one.
-
-    Attributes:
-        times: float64 [K], ascending, s; before the first and after the last the value stays.
-        values: float64 [K].
+    slope is `PEAK` times the mean one. Before the first and after the last time the value stays.
     """
 
     PEAK = 1.875
 
     def __init__(self, times, values):
+        """Of times [K] (s), ascending, and values [K]."""
         self.times, self.values = np.asarray(times, np.float64), np.asarray(values, np.float64)
 
     def _pieces(self, times):

@@ -50,9 +50,8 @@ def make_drive(scene: Scene, parameters: dict) -> Drive:
     """Returns the body of a case of the grid and its motion."""
     if scene.name == 'wheel':
         return _wheel_drive(scene, parameters)
-    lean = math.radians(parameters['angle_deg'])
+    lean, start = math.radians(parameters['angle_deg']), blade_start(scene)
     motion, depth, speed = (parameters[name] for name in ('motion', 'depth_m', 'speed_m_s'))
-    start = blade_start(scene)
 
     def pose(times):
         x, y = (start + blade_displacement(motion, depth, speed, times)).T

@@ -33,24 +33,20 @@ def machine_drive(
 ) -> tuple[Drive, dict]:
     """Draws a drive of one of `KINDS`, of the blade if there is no other tool.
 
-    Returns:
-        The drive and its parameters, JSON-compatible; `machine` among them where something is free.
-        ValueError: a bin in which no path fits.
+    Returns the drive and its parameters, JSON-compatible; `machine` among them where something is
+    free. ValueError: a bin in which no path fits.
     """
     rng = np.random.default_rng([seed, KINDS.index(kind), 3])
-    parameters = {'kind': kind, 'path_seed': seed}
     if kind == 'actuated':
-        return _actuated(rng, scene, seed, tool, parameters)
-    if tool is None:
-        width = operator_paths.NARROW_WIDTH if rng.random() < 0.3 else bodies.BLADE_WIDTH
-        body, kept = bodies.make_blade(width), {'blade_width_m': width}
-    else:
-        body, kept = bodies.tool_body(tool), {'tool': tool}  # type: ignore[dict-item]
+        return _actuated(rng, scene, seed, tool)
+    is_narrow = tool is None and rng.random() < 0.3
+    width = operator_paths.NARROW_WIDTH if is_narrow else bodies.BLADE_WIDTH
+    body, kept = bodies.blade_or(tool, width)
     draw = _press if kind == 'press' else _set_down
     drive, drawn = checks.first_that_fits(
-        lambda: draw(rng, scene.bin, body), scene.bin, f'the kind {kind!r}, seed {seed}'
+        lambda: draw(rng, scene.bin, body), scene.bin, f'{kind!r}, seed {seed}'
     )
-    return drive, parameters | kept | drawn
+    return drive, kept | drawn
 
 
 def _press(rng, box, body):
@@ -94,26 +90,22 @@ def _set_down(rng, box, body):
     settles = rng.uniform(1.2, 2.5)
     speed = rng.uniform(0.03, 0.12) if is_dragged else 0.0
     halts = rng.uniform(settles + 1.0, scenes.DURATION)
-    travel = Levels(
-        [0.0, settles, settles + 0.4, halts, halts + 0.4], [0.0, 0.0, speed, speed, 0.0]
-    )
+    moments = [0.0, settles, settles + 0.4, halts, halts + 0.4]
+    travel = Levels(moments, [0.0, 0.0, speed, speed, 0.0])
     grows = Levels([0.05, 0.05 + GROWTH], [0.0, 1.0])
     # A load on top, that changes once.
     most = DRAGGED_FACTOR if is_dragged else max(1.0, min(1.8, MASSES[1] / mass))
     changed = rng.uniform(0.4, most) if rng.random() < 0.5 else 1.0
     when = rng.uniform(0.5, scenes.DURATION - 0.5)
     factor = Levels([when, when + 0.2], [1.0, changed])
-    is_free = [False, True, False]
-    stiffness, damping = np.zeros(3), np.zeros(3)
     inertia = mass * 0.15**2
+    stiffness = np.zeros(3)
     if rng.random() < 0.3:
-        is_free[0] = True
         stiffness[0] = math.exp(rng.uniform(*np.log(STIFFNESS)))
-        damping[0] = 2.0 * math.sqrt(stiffness[0] * mass)
     if rng.random() < 0.2:
-        is_free[2] = True
         stiffness[2] = math.exp(rng.uniform(math.log(500.0), math.log(5000.0)))
-        damping[2] = 2.0 * math.sqrt(stiffness[2] * inertia)
+    damping = 2.0 * np.sqrt(stiffness * [mass, mass, inertia])
+    is_free = bool(stiffness[0]), True, bool(stiffness[2])
 
     def force(t):
         weight = -mass * scenes.EARTH_GRAVITY * grows(t) * factor(t)
@@ -122,7 +114,7 @@ def _set_down(rng, box, body):
     def pose(t):
         return poses(t, x - travel.integral(t), base + 0.002, theta, box.z_middle)
 
-    machine = Machine(tuple(is_free), mass, force, inertia, tuple(stiffness), tuple(damping))
+    machine = Machine(is_free, mass, force, inertia, tuple(stiffness), tuple(damping))
     return Drive(body, pose, machine), {
         'lean_deg': lean,
         'drag_speed_m_s': round(speed, 4),
@@ -131,7 +123,7 @@ def _set_down(rng, box, body):
     }
 
 
-def _actuated(rng, scene, seed, tool, parameters):
+def _actuated(rng, scene, seed, tool):
     path_kind = str(rng.choice(['smooth', 'stops', 'reverse', 'lift']))
     # A path of its own: seeds of operators are below a million.
     drive, drawn = operator_paths.operator_drive(scene, path_kind, seed + 1_000_000, tool)
@@ -139,12 +131,10 @@ def _actuated(rng, scene, seed, tool, parameters):
     stiffness = np.exp(rng.uniform(*np.log(STIFFNESS), size=2))
     damping = rng.uniform(0.5, 1.2) * 2.0 * np.sqrt(stiffness * mass)
 
-    def force(times):
-        return np.zeros((len(times), 3))
-
-    machine = Machine((True, True, False), mass, force, 0.0, (*stiffness, 0.0), (*damping, 0.0))
+    actuators = (*stiffness, 0.0), (*damping, 0.0)
+    machine = Machine((True, True, False), mass, lambda t: np.zeros((len(t), 3)), 0.0, *actuators)
     carried = Drive(drive.body, drive.pose, machine, drive.lead_in)
-    return carried, drawn | parameters | {'plot': path_kind, 'machine': described(machine)}
+    return carried, drawn | {'plot': path_kind, 'machine': described(machine)}
 
 
 def described(machine: Machine) -> dict:

@@ -117,19 +117,18 @@ def operator_drive(
 ) -> tuple[Drive, dict]:
     """Draws a path of one of `KINDS`; without a tool the blade is 0.457 or 0.30 m wide, or drawn.
 
-    Returns:
-        The drive and its parameters, JSON-compatible; among them the `ground` where it is not the
-        usual one, the `frames` where they are more than usual. ValueError: no path fits the bin.
+    Returns the drive and its parameters, JSON-compatible; among them the `ground` where it is not
+    the usual one, the `frames` where they are more than usual. ValueError: no path fits the bin.
     """
     rng = np.random.default_rng([seed, KINDS.index(kind), 1])
-    parameters = {'kind': kind, 'path_seed': seed}
+    parameters = {}
     if kind in ('soils', *BRIEF):
         parameters['ground'] = _draw_ground(rng, kind)
     if kind in ('tools', *BRIEF) and tool is None:
         tool = _draw_tool(rng, WIDTHS if kind == 'tools' else BRIEF_WIDTHS)
     drive, drawn = checks.first_that_fits(
-        lambda: _draw(rng, scene, kind, tool), scene.bin, f'the kind {kind!r}, seed {seed}',
-        lambda drive, drawn: _is_fine(drive, scene.bin, drawn),
+        lambda: _draw(rng, scene, kind, tool), scene.bin, f'{kind!r}, seed {seed}',
+        lambda *drawn: _is_fine(scene.bin, *drawn),
     )  # fmt: skip
     if kind != 'trench' and kind not in FRAMES:  # as long as any run
         del drawn['frames']
@@ -138,11 +137,9 @@ def operator_drive(
 
 def _draw_ground(rng, kind) -> dict:
     if kind == 'gravity':
-        gravity = math.exp(rng.uniform(*np.log(ANY_GRAVITY)))
-        friction = round(rng.uniform(*FRICTION_DEG), 2)
-        return {'friction_angle_deg': friction, 'gravity': round(gravity, 3)}
-    ground = {'friction_angle_deg': round(rng.uniform(*FRICTION_DEG), 2)}
-    other = rng.random()
+        gravity = round(math.exp(rng.uniform(*np.log(ANY_GRAVITY))), 3)
+        return {'gravity': gravity, 'friction_angle_deg': round(rng.uniform(*FRICTION_DEG), 2)}
+    ground, other = {'friction_angle_deg': round(rng.uniform(*FRICTION_DEG), 2)}, rng.random()
     if other < 0.25:
         ground['bulk_density'] = round(rng.uniform(*DENSITY), 1)
     elif other < 0.5:
@@ -153,13 +150,13 @@ def _draw_ground(rng, kind) -> dict:
 def _draw(rng, scene, kind, tool) -> tuple[Drive, dict]:
     """One path that keeps all limits but perhaps not the room of the bin."""
     box = scene.bin
-    if tool is None:
+    if tool is not None:
+        width = tool['width']
+    else:
         width = NARROW_WIDTH if rng.random() < _NARROW_SHARE else bodies.BLADE_WIDTH
         if kind == 'beside':
             width = NARROW_WIDTH if rng.random() < 0.7 else float(rng.choice([0.2, 0.457]))
-        body, kept = bodies.make_blade(width), {'blade_width_m': width}
-    else:
-        width, body, kept = tool['width'], bodies.tool_body(tool), {'tool': tool}
+    body, kept = bodies.blade_or(tool, width)
     leans = STEEP_LEANS if rng.random() < _STEEP_SHARE else LEANS
     if tool is not None and len(tool['outline']) > 2:
         leans = BUCKET_LEANS
@@ -188,16 +185,11 @@ def _draw(rng, scene, kind, tool) -> tuple[Drive, dict]:
         lead_in, move = _earlier_pass(rng, story)
         moves.append(move)
     begin, seconds = story.time, scenes.DURATION
+    if kind in FRAMES:
+        seconds = FRAMES[kind] / scenes.FRAME_RATE
+    PLOTS[plot](rng, story, begin + seconds)
     if kind == 'trench':
-        seconds = _trench(rng, story)
-    else:
-        if kind in FRAMES:
-            seconds = FRAMES[kind] / scenes.FRAME_RATE
-        {
-            'smooth': _smooth, 'halts': _smooth, 'stops': _stops, 'reverse': _reverse,
-            'lift': _lift, 'spread': _spread, 'backdrag': _backdrag,
-            'brief': _brief, 'gravity': _brief,
-        }[plot](rng, story, begin + seconds)  # fmt: skip
+        seconds = story.time
     speed, depth, lean = (story.levels(name) for name in ('speed', 'depth', 'lean'))
     clock = _halting_clock(rng) if kind == 'halts' else np.asarray
     middle = box.z_middle - 0.5 * (min(offsets) + max(offsets))
@@ -242,7 +234,7 @@ def _aside(moves, places):
     return Levels(times, values)
 
 
-def _is_fine(drive, box, parameters) -> bool:
+def _is_fine(box, drive, parameters) -> bool:
     """Whether the bin has room for the heap as well, and the path shows what it is for."""
     frames, plot = parameters['frames'], parameters['plot']
     times = np.arange(frames + 1 + drive.lead_in) / scenes.FRAME_RATE
@@ -365,14 +357,21 @@ def _brief(rng, story, end) -> None:
         story.go(rng.uniform(0.2, 0.5), _cut_speed(rng), _cut_depth(rng))
 
 
-def _trench(rng, story) -> float:
-    """One long cut of changing speed and depth; returns its seconds."""
+def _trench(rng, story, end) -> None:
+    """One long cut of changing speed and depth, as long as it takes."""
     story.go(rng.uniform(0.6, 1.0), _cut_speed(rng), rng.uniform(0.02, 0.06))
     length = rng.uniform(*TRENCH)
     while story.way() < length - 0.1:
         story.go(rng.uniform(0.8, 1.6), rng.uniform(0.08, MAX_SPEED), rng.uniform(0.02, 0.07))
     story.go(0.6, 0.03, -0.01)
-    return story.time
+
+
+# What draws a path that ends at some time (s), by plot.
+PLOTS = {
+    'smooth': _smooth, 'halts': _smooth, 'stops': _stops, 'reverse': _reverse, 'lift': _lift,
+    'spread': _spread, 'backdrag': _backdrag, 'brief': _brief, 'gravity': _brief,
+    'trench': _trench,
+}  # fmt: skip
 
 
 def _halting_clock(rng):
@@ -413,13 +412,13 @@ def _earlier_pass(rng, story) -> tuple[int, tuple]:
 def _draw_tool(rng, widths) -> dict:
     """A tool (`bodies.check_tool`): three blades to two buckets."""
     width = round(rng.uniform(*widths), 3)
-    if rng.random() < 0.6:
-        radius = round(rng.uniform(*EDGE_RADII), 4)
-        height = round(rng.uniform(*BLADE_HEIGHTS), 3)
-        outline = [[0.0, 0.0], [0.0, height - 2 * radius]]
-        tool = {'name': 'blade', 'outline': outline, 'edge_radius': radius, 'width': width}
-        return bodies.check_tool(tool)
-    return bucket(rng.uniform(*BUCKET_RADII), width, rng.random() < 0.5)
+    if rng.random() >= 0.6:
+        return bucket(rng.uniform(*BUCKET_RADII), width, rng.random() < 0.5)
+    radius = round(rng.uniform(*EDGE_RADII), 4)
+    height = round(rng.uniform(*BLADE_HEIGHTS), 3)
+    outline = [[0.0, 0.0], [0.0, height - 2 * radius]]
+    tool = {'name': 'blade', 'outline': outline, 'edge_radius': radius, 'width': width}
+    return bodies.check_tool(tool)
 
 
 def bucket(radius: float, width: float, has_plates: bool) -> dict:
@@ -435,9 +434,8 @@ def bucket(radius: float, width: float, has_plates: bool) -> dict:
     ring = np.stack([np.cos(turn), np.sin(turn)], axis=1)
     inner, outer = middle + radius * ring, middle + (radius + SHELL) * ring
     # The floor tapers towards the edge.
-    edge = [[0.0, 0.0], (0.3 * SHELL * normal).tolist()]
-    outside = [(start - SHELL * normal).tolist()]
-    outline = [edge[0], *outside, *outer[1:].tolist(), *inner[::-1].tolist(), edge[1]]
+    below, above = start - SHELL * normal, 0.3 * SHELL * normal
+    outline = np.concatenate([[[0.0, 0.0], below], outer[1:], inner[::-1], [above]])
     tool = {
         'name': 'bucket',
         'outline': np.round(outline, 5).tolist(),

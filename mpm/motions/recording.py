@@ -57,15 +57,10 @@ class Recording:
 
 
 def read_rows(path: str) -> dict[str, np.ndarray]:
-    """Reads a file of a path.
+    """Reads a file of a path: column name -> float64 [K], K >= 2; the times begin with 0.
 
-    Returns:
-        Column name -> float64 [K], K >= 2; the times begin with 0.
-
-    Raises:
-        FileNotFoundError: there is no such file.
-        ValueError: see `csv_rows.rows`; a missing column, a time that does not follow or a value in
-            other units; with the file and the line.
+    Raises as `csv_rows.rows`. ValueError, with the file and the line: a missing column, a time that
+    does not follow or a value in other units.
     """
 
     def numbers_of(header):
@@ -76,45 +71,42 @@ def read_rows(path: str) -> dict[str, np.ndarray]:
             )
         return [name for name in header if name in (*COLUMNS, ACROSS, LOAD)]
 
-    rows, numbers = [], []
-    for number, texts, values in csv_rows.rows(path, numbers_of):
+    rows, lines = [], []
+    for line, texts, values in csv_rows.rows(path, numbers_of):
         for name in {'x_m', 'y_m', ACROSS} & values.keys():
             if abs(values[name]) > MAX_PLACE:
                 raise ValueError(
-                    f'{path}, line {number}: {name} is {texts[name]}, farther than {MAX_PLACE} m '
+                    f'{path}, line {line}: {name} is {texts[name]}, farther than {MAX_PLACE} m '
                     'from the origin; are these millimetres?'
                 )
         if len(rows) == MAX_ROWS:
             raise ValueError(f'{path}: has more than {MAX_ROWS} rows')
         rows.append(values)
-        numbers.append(number)
+        lines.append(line)
     if len(rows) < 2:
         raise ValueError(f'{path}: has {len(rows)} rows, at least 2 are needed')
     columns = {name: np.array([row[name] for row in rows]) for name in rows[0]}
-    _check_times(path, columns['time_s'], numbers)
-    columns['time_s'] = columns['time_s'] - columns['time_s'][0]
-    return columns
-
-
-def _check_times(path, times, numbers) -> None:
+    times = columns['time_s']
     steps = np.diff(times)
-    k, usual, lasts = int(np.argmin(steps)), float(np.median(steps)), times[-1] - times[0]
+    k, usual = int(np.argmin(steps)), float(np.median(steps))
     if not steps[k] > 0.0:
         raise ValueError(
-            f'{path}, line {numbers[k + 1]}: time_s is {times[k + 1]:.6g} after {times[k]:.6g}; '
+            f'{path}, line {lines[k + 1]}: time_s is {times[k + 1]:.6g} after {times[k]:.6g}; '
             'times must ascend'
         )
     k = int(np.argmax(steps))
     if steps[k] > GAP * usual:
         raise ValueError(
-            f'{path}, lines {numbers[k]} to {numbers[k + 1]}: a gap of {steps[k]:.4g} s between '
+            f'{path}, lines {lines[k]} to {lines[k + 1]}: a gap of {steps[k]:.4g} s between '
             f'rows that are usually {usual:.4g} s apart; fill it or resample the file'
         )
-    if lasts > MAX_TIME:
+    columns['time_s'] = times - times[0]
+    if (lasts := columns['time_s'][-1]) > MAX_TIME:
         raise ValueError(
-            f'{path}, line {numbers[-1]}: lasts {lasts:.6g} s, more than {MAX_TIME:g}; are these '
+            f'{path}, line {lines[-1]}: lasts {lasts:.6g} s, more than {MAX_TIME:g}; are these '
             'milliseconds?'
         )
+    return columns
 
 
 def recorded_drive(
@@ -134,20 +126,18 @@ def recorded_drive(
         x, y, angle_deg, z = (curve(at) for curve in curves)
         return poses(at, x, y, np.radians(angle_deg), z)
 
-    parameters = {'kind': 'path', 'path_sha256': sha256_of_file(recording.path)}
-    if tool is not None:
-        parameters['tool'] = tool
+    parameters: dict = {'kind': 'path', 'path_sha256': sha256_of_file(recording.path)}
     if scene.rigid_motion == 'prescribed':
-        if tool is None:
-            parameters['blade_width_m'] = recording.blade_width
-        body = bodies.tool_body(tool) if tool else bodies.make_blade(recording.blade_width)
-        return Drive(body, pose), parameters, float(times[-1])
-    context = scene.parameters(recording.like_case)
-    context.pop('slip_percent')
-    if tool is not None:
-        context['diameter_m'] = 2.0 * tool['radius']
-    body = bodies.tool_body(tool) if tool else bodies.make_wheel(context['diameter_m'])
-    load = PchipInterpolator(times, rows.get(LOAD, np.full(len(times), scenes.wheel_load(context))))
+        body, kept = bodies.blade_or(tool, recording.blade_width)
+        return Drive(body, pose), parameters | kept, float(times[-1])
+    parameters |= scene.parameters(recording.like_case)
+    parameters.pop('slip_percent')
+    if tool is None:
+        body = bodies.make_wheel(parameters['diameter_m'])
+    else:
+        body = bodies.tool_body(tool)
+        parameters |= {'tool': tool, 'diameter_m': 2.0 * tool['radius']}
+    usual = np.full(len(times), scenes.wheel_load(parameters))
+    load = PchipInterpolator(times, rows.get(LOAD, usual))
     machine = under_load(lambda at: load(np.clip(at, 0.0, times[-1])))
-    drive = Drive(body, pose, machine, rest=REST_FRAMES)
-    return drive, parameters | context, float(times[-1])
+    return Drive(body, pose, machine, rest=REST_FRAMES), parameters, float(times[-1])

@@ -75,14 +75,17 @@ def free_drive(
 ) -> tuple[Drive, dict]:
     """Draws a drive of one of `KINDS`; without a tool the wheel is one of the grid, or drawn.
 
-    Returns:
-        The drive and its parameters, JSON-compatible, those of a case of the grid among them.
-        ValueError: no drive fits the bin.
+    Returns the drive and its parameters, JSON-compatible, those of a case of the grid among them.
+    ValueError: no drive fits the bin.
     """
     rng = np.random.default_rng([seed, KINDS.index(kind), 2])
-    context = _draw_context(rng, scene)
-    while context['diameter_m'] < _SMALL and context['gravity_m_s2'] < _MOON:
-        context = _draw_context(rng, scene)
+    context: dict = {}
+    while not context or context['diameter_m'] < _SMALL and context['gravity_m_s2'] < _MOON:
+        context = {
+            name: values[int(rng.integers(len(values)))]
+            for name, values in scene.levels.items()
+            if name != 'slip_percent'
+        }
     load = scenes.wheel_load(context)
     if kind in OWN or tool is not None:
         tool = tool or _draw_wheel(rng, kind)
@@ -95,18 +98,9 @@ def free_drive(
     else:
         wheel = bodies.make_wheel(context['diameter_m'])
     drive, drawn = checks.first_that_fits(
-        lambda: _draw(rng, scene, kind, wheel, load, context), scene.bin,
-        f'the kind {kind!r}, seed {seed}',
-    )  # fmt: skip
-    return drive, {'kind': kind, 'path_seed': seed, **context, **drawn}
-
-
-def _draw_context(rng, scene) -> dict:
-    return {
-        name: values[int(rng.integers(len(values)))]
-        for name, values in scene.levels.items()
-        if name != 'slip_percent'
-    }
+        lambda: _draw(rng, scene, kind, wheel, load, context), scene.bin, f'{kind!r}, seed {seed}'
+    )
+    return drive, context | drawn
 
 
 def _draw_wheel(rng, kind) -> dict:
@@ -176,8 +170,7 @@ def _draw(rng, scene, kind, wheel, mean_load, context) -> tuple[Drive, dict]:
     rest = 0 if machine is None else grid.REST_FRAMES
     if is_short:
         parameters['frames'] = frames
-    lead_in = round(begin * scenes.FRAME_RATE)
-    if lead_in:
+    if lead_in := round(begin * scenes.FRAME_RATE):
         parameters['lead_in_frames'] = lead_in
     return Drive(wheel, pose, machine, lead_in, rest), parameters
 
@@ -215,13 +208,12 @@ def _bobbing(rng, base, wheel, seconds, up) -> Levels:
     def sinkage():
         return min(rng.uniform(*SINKAGE) * wheel.radius, DEEPEST)
 
-    times, heights = [0.0, 0.1], [base + ABOVE] * 2
-    times.append(rng.uniform(0.5, 1.2) * min(seconds / 3.0, 1.0))
-    heights.append(base - min(abs(sinkage()), DEEPEST))
+    times = [0.0, 0.1, rng.uniform(0.5, 1.2) * min(seconds / 3.0, 1.0)]
+    heights = [base + ABOVE, base + ABOVE, base - min(abs(sinkage()), DEEPEST)]
     while times[-1] < seconds:
         times.append(times[-1] + rng.uniform(0.15, 1.2))
-        step = rng.uniform(-0.004, 0.004) if rng.random() < 0.6 else None
-        height = heights[-1] + step if step is not None else base - sinkage()
+        is_step = rng.random() < 0.6
+        height = heights[-1] + rng.uniform(-0.004, 0.004) if is_step else base - sinkage()
         heights.append(float(np.clip(height, base - DEEPEST, base + up)))
     return Levels(times, heights)
 

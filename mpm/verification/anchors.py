@@ -73,7 +73,6 @@ WHEELS = {
 # What is measured of a wheel, in the order of what is published: name in the file -> title.
 MEASURED = {'drawbar_N': 'drawbar, N', 'sinkage_mm': 'sinkage, mm', 'torque_N_m': 'torque, N m'}
 
-
 DROPS = (0.05, 0.1, 0.2)  # m, from the lowest point of the ball to the bed
 BALL_DIAMETER, BALL_DENSITY = 0.05, 2200.0  # m, kg/m3
 BALL_BIN = scenes.sampled((0.3, 0.12, 0.3), 0.005, 0.005, 1, 0.3, ((0.0, 0.5),) * 3)
@@ -106,8 +105,8 @@ def dropped(drop: float) -> dict:
 
     machine = Machine((False, True, False), mass, force)
     drive = Drive(body, lambda times: poses(times, *start), machine)
-    scene = dataclasses.replace(scenes.EXCAVATION, bin=box)
     motion = catalogue.Motion('ball', drive, {}, BALL_FRAMES, ground)
+    scene = dataclasses.replace(scenes.EXCAVATION, bin=box)
     # Soil below a ball of 2 m/s would cross a cell between the usual exchanges.
     simulation = run_rows.simulation_of(scene, motion, Settings(exchange=EXCHANGE / 2))
     simulation.free.state[1, 1] = -math.sqrt(2.0 * ground.gravity * drop)
@@ -123,35 +122,28 @@ def dropped(drop: float) -> dict:
     }
 
 
-def drive_of(wheel: Wheel, slip: float) -> Drive:
-    """Returns the drive of a wheel at a slip, its height free under the load."""
+def measured(wheel: Wheel, slip: float) -> dict:
+    """Returns drawbar (N), sinkage (mm) and torque (N m) of a wheel at a slip, its height free
+    under the load: steady means."""
+    from mpm.verification import run_rows  # help does not wait for Numba
+
     body = bodies.tool_body(bodies.check_tool(wheel.tool))
 
     def pose(times):
         way = RIM_SPEED * np.maximum(np.asarray(times, np.float64), 0.0)
         return poses(times, START_X - (1.0 - slip) * way, 0.0, way / body.radius, BIN.z_middle)
 
-    return Drive(body, pose, under_load(wheel.load), rest=grid.REST_FRAMES)
-
-
-def measured(wheel: Wheel, slip: float) -> dict:
-    """Returns drawbar (N), sinkage (mm) and torque (N m) of a wheel at a slip, steady means."""
-    from mpm.verification import run_rows
-
+    drive = Drive(body, pose, under_load(wheel.load), rest=grid.REST_FRAMES)
+    motion = catalogue.Motion('anchor', drive, {}, FRAMES, wheel.ground)
     scene = dataclasses.replace(scenes.WHEEL, bin=BIN)
-    motion = catalogue.Motion('anchor', drive_of(wheel, slip), {}, FRAMES, wheel.ground)
     simulation, rows = run_rows.simulation_of(scene, motion), []
     for _ in range(FRAMES):
         force, torque = simulation.frame()
         # The lowest point of the rim, as published; lugs reach deeper.
         sinkage = scene.bin.surface - (simulation.pose[1] - wheel.tool['radius'])
         rows.append([-force[0], 1e3 * sinkage, -torque[2]])
-    drawbar, sinkage, moment = (float(mean) for mean in np.array(rows)[-STEADY:].mean(axis=0))
-    return {
-        'drawbar_N': round(drawbar, 3),
-        'sinkage_mm': round(sinkage, 3),
-        'torque_N_m': round(moment, 4),
-    }
+    means = np.array(rows)[-STEADY:].mean(axis=0)
+    return {name: round(float(mean), n) for name, mean, n in zip(MEASURED, means, (3, 3, 4))}
 
 
 def wheel_table(path: str) -> str:
@@ -191,12 +183,13 @@ def draw(path: str, output: str) -> None:
 
 
 def jobs(values=None) -> Jobs:
-    found: Jobs = {('balls', str(drop)): partial(dropped, drop) for drop in DROPS}
-    for name, wheel in WHEELS.items():
-        for slip in wheel.published:
-            if slip in RUN_SLIPS:
-                found['wheels', name, str(slip)] = partial(measured, wheel, slip)
-    return found
+    balls: Jobs = {('balls', str(drop)): partial(dropped, drop) for drop in DROPS}
+    return balls | {
+        ('wheels', name, str(slip)): partial(measured, wheel, slip)
+        for name, wheel in WHEELS.items()
+        for slip in wheel.published
+        if slip in RUN_SLIPS
+    }
 
 
 if __name__ == '__main__':

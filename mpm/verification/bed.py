@@ -29,8 +29,9 @@ def surface(positions: np.ndarray, box: Bin) -> np.ndarray:
     square: by the highest particle of each, one that crossed a border by a micrometre changed two
     squares by a layer.
     """
-    cells = [round(box.size[axis] / SIDE) for axis in (0, 2)]
-    side = np.array([box.size[0], box.size[2]]) / cells
+    across = np.array([box.size[0], box.size[2]])
+    cells = np.round(across / SIDE).astype(int)
+    side = across / cells
     place = (positions[:, [0, 2]] - CORNER) / side
     nearest = np.floor(place).astype(int)
     away = place - nearest - 0.5
@@ -40,7 +41,7 @@ def surface(positions: np.ndarray, box: Bin) -> np.ndarray:
     share = volume / (side.prod() * SIDE) * np.exp((positions[:, 1] - CORNER) / SIDE)
     for i in range(3):
         for k in range(3):
-            square = np.clip(nearest + [i - 1, k - 1], 0, np.array(cells) - 1)
+            square = np.clip(nearest + [i - 1, k - 1], 0, cells - 1)
             np.add.at(total, tuple(square.T), share * weights[i, :, 0] * weights[k, :, 1])
     return CORNER + SIDE * np.log1p(total)
 
@@ -62,9 +63,7 @@ def count(positions: np.ndarray, middles: np.ndarray, values: np.ndarray) -> np.
     """Counts the particles [N, 3] in each of M spheres, and sums up their `values` [N]: float64 [2,
     M]."""
     inside = cKDTree(positions).query_ball_point(middles, RADIUS)
-    return np.array(
-        [[len(rows) for rows in inside], [values[rows].sum() for rows in inside]], float
-    )
+    return np.array([(len(rows), values[rows].sum()) for rows in inside], float).reshape(-1, 2).T
 
 
 def moved_density(start: np.ndarray, end: np.ndarray, simulation) -> float | None:
@@ -87,19 +86,15 @@ def moved_density(start: np.ndarray, end: np.ndarray, simulation) -> float | Non
 
 def settled_soil(box: Bin, particles: np.ndarray, soil: Soil) -> dict:
     """Returns the reaction of walls and floor over the weight of a settled packing (particles), and
-    the stress over rho g h.
-
-    The vertical stress in the middle of the bin is given apart for the soil above the lowest cell
-    and within it: nodes below the floor are held, so that the grid has no linear field there.
-    """
+    in the middle of the bin the vertical stress over rho g h, apart for the soil above the lowest
+    cell and within it: nodes below the floor are held, so the grid has no linear field there."""
     grid, nodes = make_grid(box), make_nodes(make_grid(box))
     volume = packing.particle_volume(box)
     mass = volume * soil.bulk_density
     status = np.zeros(2, dtype=np.int64)
     # Half a step of one second: what is scattered is half the force, in N.
-    extent = particles_to_grid(
-        make_block(particles), nodes.velocity, grid, 0.5, volume, soil, status
-    )
+    block = make_block(particles)
+    extent = particles_to_grid(block, nodes.velocity, grid, 0.5, volume, soil, status)
     before = nodes.velocity.reshape(-1, 4).copy()
     free, _ = start_nodes(nodes, grid, extent, 0.0, 0.0)
     held = before[:, 3] > 0.0

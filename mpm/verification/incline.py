@@ -111,7 +111,7 @@ class Incline:
         """Adds what lies past an end of `array` [4 nodes] to the start; both copies get the sum."""
         nx, ny, nz = self.grid.shape
         nodes = array.reshape(ny, nx, nz, 4)
-        for axis, count in ((1, self._cells[0]), (2, self._cells[1])):
+        for axis, count in enumerate(self._cells, 1):
             view = np.moveaxis(nodes, axis, 0)
             view[FIRST : FIRST + COPIES] += view[FIRST + count : FIRST + count + COPIES]
             view[FIRST + count : FIRST + count + COPIES] = view[FIRST : FIRST + COPIES]
@@ -127,8 +127,8 @@ class Incline:
         if status[0] != columns.OK:
             raise ValueError(f'particle {status[1]} left the layer')
         self._fold(nodes.velocity)
-        last = FIRST + self._cells + COPIES
-        box = (FIRST, last[0], *touched_box[2:4], FIRST, last[1])
+        last_x, last_z = FIRST + self._cells + COPIES
+        box = (FIRST, last_x, *touched_box[2:4], FIRST, last_z)
         free, touched = start_nodes(nodes, grid, box, 0.5 * dt * along, 0.5 * dt * down)
         for k in range(solver.steps + 1):
             if k > 0:
@@ -184,10 +184,9 @@ def bagnold(per_cell: float, start: float, end: float) -> dict[str, float]:
     """Lets beads flow that begin at the closed form's speed; looks at them from `start` to `end`
     (s).
 
-    Returns:
-        Against the closed form at the same particles: `surface`, the speed of the uppermost of
-        `LAYERS` over it; `profile`, the RMS difference of all layers over its speed at the surface;
-        and `depth`, twice the mean height of the soil over the depth as packed.
+    Returns, against the closed form at the same particles: `surface`, the speed of the uppermost of
+    `LAYERS` over it; `profile`, the RMS difference of all layers over its speed at the surface; and
+    `depth`, twice the mean height of the soil over the depth as packed.
     """
     layer = Incline(layer_bin(per_cell), beads())
     sums = np.zeros((4, LAYERS))

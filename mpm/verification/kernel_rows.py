@@ -36,9 +36,8 @@ def rows_of(raw_path: str) -> dict:
 
 def free_fall() -> list[Check]:
     """A block falls: along the parabola g t2 / 2, which velocity Verlet takes exactly."""
-    room = Bin((0.2, 0.1, 0.4), 0.02, 0.04, (0, 0, 0), 1, 0.6, ())
     block = Bin((0.2, 0.1, 0.4), 0.02, 0.04, (10, 5, 20), 1, 0.6, ())
-    experiment = Experiment(room, block, make_soil(1.5e6, 0.76), lift=0.4)
+    experiment = Experiment(block, block, make_soil(1.5e6, 0.76), lift=0.4)
     # Away from the sticky walls.
     across = experiment.particles[:, [0, 2]]
     is_kept = (np.abs(across - CORNER - [0.1, 0.2]) < [0.06, 0.12]).all(axis=1)
@@ -102,10 +101,8 @@ def column(aspect: float) -> list[Check]:
     length, dx = 0.2, 0.2 / 15
     reach = length * (1.0 + 2.5 * 1.2 * aspect)
     room = Bin((dx * math.ceil(reach / dx), 0.0, 4 * dx), dx, dx, (0, 0, 0), 1, length * aspect, ())
-    count = round(1.5 * 15)
-    block = Bin(
-        (length, length * aspect, 4 * dx), dx, dx, (count, round(count * aspect), 6), 1, 0.0, ()
-    )
+    count, size = round(1.5 * 15), (length, length * aspect, 4 * dx)
+    block = Bin(size, dx, dx, (count, round(count * aspect), 6), 1, 0.0, ())
     experiment = Experiment(room, block, make_soil(1.5e6, 0.5), smooth_sides=True)
     for _ in range(50):
         experiment.advance(1.5 / 50)
@@ -127,8 +124,8 @@ def packed_soil(scene: Scene, raw_path: str) -> list[Check]:
     found = bed.settled_soil(scene.bin, particles, soil)
     reaction = f'{scene.name} soil: reaction of walls and floor over weight'
     stress, middle = f'{scene.name} soil: vertical stress over rho g h', 'middle of the bin'
-    # Nodes below the floor are held, so the grid has no linear field in the lowest cell: its
-    # particles state 9 % more than they carry. The floor's reaction is the weight (first row).
+    # Particles of the lowest cell state 9 % more than they carry (`bed.settled_soil`). The floor's
+    # reaction is the weight (first row).
     at_floor = found['stress_at_floor_over_rho_g_h']
     return [
         Check(reaction, found['reaction_over_weight'], 1.0, 0.01, 'm g'),

@@ -42,6 +42,7 @@ CASES = {
     'wheel:122': (80, 20, 0),
     'wheel:slip_0000': (80, 20, 0),
 }
+TOOLS, AXES = {'blade': 'excavation', 'wheel': 'wheel'}, ('along x', 'upwards')
 THROWN = {('wheel:slip_0000', 'reach_double')}  # contact that far throws soil out of the grid
 # 15 cm wide, with plates of 20 mm.
 BUCKET = {'excavation:tools_0023': (100, 45, 0)}
@@ -107,20 +108,17 @@ def measured(name: str, variant: Variant) -> dict:
     solver.law = solver.law._replace(radius=variant.reach * solver.law.radius)
     force = frames_of(simulation, motion.drive.lead_in + frames)[:, :3]
     end = simulation.positions()
+    force = force[motion.drive.lead_in + first :]
+    count = len(force) // MEAN  # what is left over is dropped
+    means = force[: count * MEAN].reshape(count, MEAN, 3).mean(axis=1)
     return {
-        'force': np.round(means_of(force[motion.drive.lead_in + first :]), 2).tolist(),
+        'force': np.round(means, 2).tolist(),
         'surface': np.round(1e5 * bed.surface(end, scene.bin)).astype(int).tolist(),
         'density': bed.moved_density(start, end, simulation),
         'cell_m': [float(side) for side in simulation.grid.cell],
         'reach_m': float(solver.law.radius),
         'cpu_s': round(time.process_time() - started, 1),
     }
-
-
-def means_of(force) -> np.ndarray:
-    """Returns means [K, 3] over `MEAN` frames of a force [T, 3]; what is left over is dropped."""
-    count = len(force) // MEAN
-    return np.array(force)[: count * MEAN].reshape(count, MEAN, 3).mean(axis=1)
 
 
 def compared(found: dict, reference: dict) -> dict:
@@ -164,42 +162,38 @@ def _fit(cells, drafts, order):
     return float(found[0]), float(((design @ found - drafts) ** 2).sum())
 
 
+# What a row of the summary shows of `compared`: title, form.
+_SHOWN = {
+    'draft_change': ('draft', '+.1%'), 'vertical_change': ('vertical force', '+.1%'),
+    'force_5_frames': ('five frames', '.3f'), 'surface_mm': ('surface, mm', '.2f'),
+    'density': ('density', '.3f'),
+}  # fmt: skip
+
+
 def summary(path: str) -> str:
     """Returns the ladder as Markdown, a row for each variant: medians and worst over the cases."""
     rows = []
-    for scene, what in (('excavation', 'blade'), ('wheel', 'wheel')):
-        for variant in VARIANTS:
-            found = [
-                compared(runs[variant], runs['cubic'])
-                for name, runs in _read(path).items()
-                if name in CASES and name.startswith(scene) and variant in runs and 'cubic' in runs
-            ]
-            if not found or variant == 'cubic':
-                continue
-            cells = [f'{len(found)}']
-            for key, form in (
-                ('draft_change', '{:+.1%}'),
-                ('vertical_change', '{:+.1%}'),
-                ('force_5_frames', '{:.3f}'),
-                ('surface_mm', '{:.2f}'),
-                ('density', '{:.3f}'),
-            ):
-                values = [row[key] for row in found if row[key] is not None]
-                worst = max(values, key=abs, default=None)
-                text = f'{form.format(np.median(values))} ({form.format(worst)})' if values else ''
-                cells.append(text)
-            rows.append((f'{what}, {variant}', *cells))
-    header = (
-        'variant', 'cases', 'draft', 'vertical force', 'five frames', 'surface, mm', 'density',
-    )  # fmt: skip
-    return markdown.table(header, rows)
+    for what, variant in itertools.product(TOOLS, VARIANTS):
+        found = [
+            compared(runs[variant], runs['cubic'])
+            for name, runs in _read(path).items()
+            if name in CASES and name.startswith(TOOLS[what]) and {variant, 'cubic'} <= runs.keys()
+        ]
+        cells = []
+        for key, (_, form) in _SHOWN.items():
+            values = [row[key] for row in found if row[key] is not None]
+            worst = max(values, key=abs, default=None)
+            cells.append(f'{np.median(values):{form}} ({worst:{form}})' if values else '')
+        if found and variant != 'cubic':
+            rows.append((f'{what}, {variant}', f'{len(found)}', *cells))
+    titles = (title for title, _ in _SHOWN.values())
+    return markdown.table(('variant', 'cases', *titles), rows)
 
 
 def side_plates(path: str) -> str:
     """Returns, as Markdown, a bucket on shorter cells across; all over the shortest ones."""
     rows = []
-    for name in BUCKET:
-        runs = _read(path).get(name, {})
+    for runs in (_read(path).get(name, {}) for name in BUCKET):
         for variant in ACROSS if 'across_sixth' in runs else ():
             row = compared(runs[variant], runs['across_sixth'])
             rows.append((
@@ -214,18 +208,14 @@ def side_plates(path: str) -> str:
 def limits(path: str) -> str:
     """Returns, as Markdown, how far the ground truth is from the limit of fine cells."""
     rows = []
-    for name, runs in _read(path).items():
-        cells, forces = over_cells(name, runs)
-        if len(cells) >= 3:
-            value, error = limit(cells, forces)
-            base = np.mean(runs['base']['force'], axis=0)[CASES[name][2]]
-            what = ('along x', 'upwards')[CASES[name][2]]
-            finer = forces[0] if cells[0] < runs['base']['cell_m'][0] else None
-            rows.append((
-                name, what, f'{base:.0f}', f'{base / finer - 1.0:+.0%}' if finer else '',
-                f'{order_of(cells, forces):.1f}' if len(cells) > 3 else '',
-                f'{value:.0f} +- {error:.0f}', f'{base / value - 1.0:+.0%}',
-            ))  # fmt: skip
+    for name, _, cells, forces, base in _laddered(path):
+        value, error = limit(cells, forces)
+        finer = f'{base / forces[0] - 1.0:+.0%}' if base != forces[0] else ''
+        order = f'{order_of(cells, forces):.1f}' if len(cells) > 3 else ''
+        rows.append((
+            name, AXES[CASES[name][2]], f'{base:.0f}', finer, order,
+            f'{value:.0f} +- {error:.0f}', f'{base / value - 1.0:+.0%}',
+        ))  # fmt: skip
     header = (
         'case', 'force', 'ground truth, N', 'over cells of 3/4', 'order', 'limit, N',
         'ground truth over it',
@@ -237,11 +227,8 @@ def in_short(path: str) -> str:
     """One line: by how much the force of the ground truth differs from finer grids."""
     finer: dict[str, list] = {'excavation': [], 'wheel': []}
     whole: dict[str, list] = {'excavation': [], 'wheel': []}
-    for name, runs in _read(path).items():
-        cells, forces = over_cells(name, runs)
-        if name not in CASES or len(cells) < 3:
-            continue
-        scene, base = name.split(':')[0], forces[list(cells).index(runs['base']['cell_m'][0])]
+    for name, _, cells, forces, base in _laddered(path):
+        scene = name.split(':')[0]
         finer[scene].append(abs(base / forces[0] - 1.0))
         whole[scene].append(abs(base / limit(cells, forces)[0] - 1.0))
 
@@ -257,26 +244,33 @@ def in_short(path: str) -> str:
 
 
 def over_cells(name, runs):
-    """Cells (m) and mean forces (N) of the variants that differ in the cells alone."""
-    names = [n for n in ('cells_0.75', 'base', 'cells_1.5', 'cells_2') if n in runs]
-    cells, axis = np.array([runs[n]['cell_m'][0] for n in names]), (CASES | BUCKET)[name][2]
-    return cells, np.array([np.mean(runs[n]['force'], axis=0)[axis] for n in names])
+    """Cells (m) and mean forces (N) of the variants of a case that differ in the cells alone."""
+    found = [runs[n] for n in ('cells_0.75', 'base', 'cells_1.5', 'cells_2') if n in runs]
+    cells = np.array([run['cell_m'][0] for run in found])
+    return cells, np.array([_mean(run, name) for run in found])
+
+
+def _mean(run, name):
+    """Mean force (N) of a run along the axis that matters in its case."""
+    return np.mean(run['force'], axis=0)[CASES[name][2]]
+
+
+def _laddered(path):
+    """Yields the cases with three sizes of cells or more: name, runs, `over_cells`, and the force
+    of the ground truth."""
+    for name, runs in _read(path).items():
+        if name in CASES and len(over_cells(name, runs)[0]) >= 3:
+            yield name, runs, *over_cells(name, runs), _mean(runs['base'], name)
 
 
 def draw(path: str, output: str) -> None:
     """Draws the draft over the size of the cells, of each case over that of the base."""
     figure, ((axes,),) = panels(1, 1, (7, 4.5))
-    for name, runs in _read(path).items():
-        cells, forces = over_cells(name, runs)
-        if len(cells) < 3:
-            continue
-        axis, at = CASES[name][2], runs['base']['cell_m'][0]
-        base = np.mean(runs['base']['force'], axis=0)[axis]
-        label = f'{name}, {("along x", "upwards")[axis]}'
-        (line,) = axes.plot(cells / at, forces / base, 'o-', label=label)
+    for name, runs, cells, forces, base in _laddered(path):
+        label = f'{name}, {AXES[CASES[name][2]]}'
+        (line,) = axes.plot(cells / runs['base']['cell_m'][0], forces / base, 'o-', label=label)
         if 'cubic' in runs:
-            cubic = np.mean(runs['cubic']['force'], axis=0)[axis]
-            axes.plot([1.0], [cubic / base], 'x', color=line.get_color())
+            axes.plot([1.0], [_mean(runs['cubic'], name) / base], 'x', color=line.get_color())
         value, error = limit(cells, forces)
         axes.errorbar([0.0], [value / base], abs(error / base), fmt='s', color=line.get_color())
     axes.set_xlabel('cell size over that of the ground truth')

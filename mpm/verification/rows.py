@@ -90,15 +90,14 @@ def make(path: str, jobs: Jobs, names: list[str] | None = None) -> dict:
         if not any(text in name_of(place) for place in jobs):
             raise ValueError(f'no row {text!r}; there are {", ".join(map(name_of, jobs))}')
     os.makedirs(os.path.dirname(path) or '.', exist_ok=True)
-    for place, job in tqdm(jobs.items(), unit='row'):
-        if names is not None and not any(text in name_of(place) for text in names):
-            continue
+    chosen = [p for p in jobs if names is None or any(text in name_of(p) for text in names)]
+    for place in tqdm(chosen, unit='row'):
         inner = content
         for name in place[:-1]:
             inner = inner.setdefault(name, {})
         if place[-1] not in inner:
             started = time.process_time()
-            found = job()
+            found = jobs[place]()
             if not isinstance(found, dict):
                 found = {'checks': [asdict(one) | {'passed': one.passed} for one in found]}
             inner[place[-1]] = {'cpu_s': round(time.process_time() - started, 1)} | found
@@ -124,14 +123,9 @@ def run_report(
     show: Callable[[str], str],
     draw: Callable[[str, str], None] | None = None,
 ) -> None:
-    """Runs a report as the main program.
-
-    Args:
-        name: of the file that keeps its results, where none is given.
-        jobs: values of the flags -> what there is to make.
-        show: path of the file -> text that is printed in the end.
-        draw: draws a picture from the file: its path, that of the picture.
-    """
+    """Runs a report as the main program: makes the `jobs` (of the values of the flags), keeps them
+    in a file called `name` where no other is given, prints what `show` says of that file, and lets
+    `draw` draw a picture from it."""
     flags.DEFINE_string('json', os.path.join('outputs', f'{name}.json'), 'Where results are kept.')
     flags.DEFINE_list('rows', None, 'Only results in whose names one of these stands.')
     flags.DEFINE_bool('list_rows', False, 'Only name the results.')

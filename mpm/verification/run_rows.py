@@ -50,8 +50,8 @@ PAIR_SURFACE = 0.7  # mm
 
 
 def rows_of(raw_path: str) -> dict:
-    """Returns name -> function that makes the checks of that name, those that cost least first;
-    runs that a row needs are made in the folder of the raw runs of both scenes."""
+    """Returns name -> function that makes the checks of that name; runs that a row needs are made
+    in the folder of the raw runs of both scenes."""
 
     def each(name, make, cases, *arguments):
         return {f'{name}_{case}': partial(make, case, *arguments) for case in cases}
@@ -60,9 +60,8 @@ def rows_of(raw_path: str) -> dict:
     rows |= each('earthmoving', earthmoving_case, EARTHMOVING_CASES, raw_path)
     rows |= each('saw_tooth', saw_tooth_case, SAW_TOOTH_CASES, raw_path)
     rows |= {'press_rate': press_rate, 'set_down': set_down}
-    rows |= {
-        row.__name__: partial(row, raw_path) for row in (depth_exponent, wheel_slip, wheel_load)
-    }
+    for row in (depth_exponent, wheel_slip, wheel_load):
+        rows[row.__name__] = partial(row, raw_path)
     rows |= {f'leak_{scene.name}': partial(leak, scene, raw_path) for scene in (EXCAVATION, WHEEL)}
     rows |= each('density', moved_soil, DENSITY_CASES)
     pairs: dict[str, tuple] = {'noise': (noise, NOISE_CASES)}
@@ -94,8 +93,8 @@ def frames_of(simulation: Simulation, count: int) -> np.ndarray:
 
 def drive(scene: scenes.Scene, case: int, frames: int, settings: Settings):
     """Returns force [frames, 3] (N) of a case, and the simulation after it."""
-    simulation = simulation_of(scene, run.prepared(scene, case, settings), settings)
-    return frames_of(simulation, frames)[:, :3], simulation
+    made = simulation_of(scene, run.prepared(scene, case, settings), settings)
+    return frames_of(made, frames)[:, :3], made
 
 
 def halved_step(scene: scenes.Scene, case: int, frames: int) -> list[Check]:
@@ -109,35 +108,31 @@ def halved_step(scene: scenes.Scene, case: int, frames: int) -> list[Check]:
 
 def short_cut(option: str, scene: scenes.Scene, case: int, frames: int) -> list[Check]:
     """What a short cut changes, against the run without it: mean force along x, and the soil."""
-    pair = (
-        drive(scene, case, frames, Settings()),
-        drive(scene, case, frames, Settings(**{option: False})),
-    )
+    usual = drive(scene, case, frames, Settings())
+    without = drive(scene, case, frames, Settings(**{option: False}))
     name = f'{scene.name} {case}: {SHORT_CUTS[option]}'
-    return _apart(name, scene, *pair, 0.0, PAIR_LIMIT[scene.name])
+    return _apart(name, scene, usual, without, 0.0, PAIR_LIMIT[scene.name])
 
 
 def noise(scene: scenes.Scene, case: int, frames: int) -> list[Check]:
     """How far runs come apart whose particles begin 1e-9 m elsewhere."""
-    settings = Settings()
-    particles = packed(scene.bin).copy()
+    settings, particles = Settings(), packed(scene.bin).copy()
     particles[:, 0] += ELSEWHERE
     other = run.make_simulation(scene, run.prepared(scene, case, settings), particles, settings)
-    pair = drive(scene, case, frames, settings), (frames_of(other, frames)[:, :3], other)
+    moved = frames_of(other, frames)[:, :3], other
     name = f'{scene.name} {case}: particles begin 1e-9 m elsewhere'
-    return _apart(name, scene, *pair, None, PAIR_LIMIT[scene.name])
+    usual = drive(scene, case, frames, settings)
+    return _apart(name, scene, usual, moved, None, PAIR_LIMIT[scene.name])
 
 
 def _apart(name, scene, one, other, expected, limit) -> list[Check]:
     """Checks of the mean force along x and the surface of a run against those of another."""
     (force, simulation), (without, reference) = one, other
     mean, change = without[:, 0].mean(), force[:, 0].mean() / without[:, 0].mean() - 1.0
-    apart = bed.surface(simulation.positions(), scene.bin) - bed.surface(
-        reference.positions(), scene.bin
-    )
+    here, there = simulation.positions(), reference.positions()
+    apart = bed.surface(here, scene.bin) - bed.surface(there, scene.bin)
     rms = 1e3 * float(np.sqrt((apart**2).mean()))
-    ways = simulation.positions() - reference.positions()
-    soil = 1e3 * np.sqrt((ways**2).sum(axis=1).mean())
+    soil = 1e3 * np.sqrt(((here - there) ** 2).sum(axis=1).mean())
     note = f'{len(force)} frames, {mean:.1f} N; all soil {soil:.2f} mm apart at the end'
     return [
         Check(f'{name}, change of the mean force', change, expected, limit, note),
@@ -147,9 +142,10 @@ def _apart(name, scene, one, other, expected, limit) -> list[Check]:
 
 def moved_soil(case: int) -> list[Check]:
     """The density of soil that a blade has moved, over that of the bed before."""
-    start, frames = packed(EXCAVATION.bin)[:, :3], scenes.FRAMES - 1
+    frames = scenes.FRAMES - 1
     _, simulation = drive(EXCAVATION, case, frames, Settings())
-    density = bed.moved_density(start, simulation.positions(), simulation)
+    start, end = packed(EXCAVATION.bin)[:, :3], simulation.positions()
+    density = bed.moved_density(start, end, simulation)
     name = f'excavation {case}: density of soil that moved over {1e3 * bed.MOVED:.0f} mm'
     return [Check(name, density, 1.005, 0.025, f'{frames} frames, over that of the bed')]
 
@@ -212,7 +208,7 @@ def depth_exponent(raw_path: str) -> list[Check]:
 
     A sharp plate in fresh soil has 2. The heap, which after a travel l weighs as l times the depth,
     and the round edge, which presses as much soil in a shallow cut as in a deep one, bring it
-    down towards 1. Contact begins half a particle spacing below the edge.
+    down towards 1.
     """
     scene, depths, drafts = EXCAVATION, [], []
     for case in EXPONENT_CASES:
@@ -220,8 +216,8 @@ def depth_exponent(raw_path: str) -> list[Check]:
         path = path_of(made.parameters)
         travel = path[0, 0] - path[:, 0]
         chosen = (travel > EXPONENT_TRAVEL[0]) & (travel < EXPONENT_TRAVEL[1])
-        edge = path[chosen, 1] - bodies.BLADE_THICKNESS / 2
-        depths.append(scene.bin.surface - edge.mean())
+        edge = path[chosen, 1].mean() - bodies.BLADE_THICKNESS / 2
+        depths.append(scene.bin.surface - edge)
         drafts.append(made.force[chosen, 0].mean())
     # Contact begins half a spacing of particles below the edge.
     radius = 0.5 * scene.bin.size[1] / scene.bin.lattice[1]
@@ -289,8 +285,7 @@ def wheel_load(raw_path: str) -> list[Check]:
         ratios[entry['case']] = float(run.force[1:, 1].mean() / load.mean())
     worst = max(ratios, key=lambda case: abs(ratios[case] - 1.0))
     note = f'worst of {len(ratios)} runs: {worst}'
-    name = 'wheel: mean vertical force over load'
-    return [Check(name, ratios[worst], 1.0, 0.03, note)]
+    return [Check('wheel: mean vertical force over load', ratios[worst], 1.0, 0.03, note)]
 
 
 def wheel_slip(raw_path: str) -> list[Check]:
@@ -344,13 +339,11 @@ def set_down() -> list[Check]:
         forces.append(simulation.frame()[0][1])
         heights.append(simulation.pose[1])
     drift = 1e3 * abs(heights[-1] - heights[179]) / 0.5
-    box = EXCAVATION.bin
-    depth = 1e3 * (box.surface + bodies.BLADE_THICKNESS / 2 - heights[-1])
+    depth = 1e3 * (EXCAVATION.bin.surface + bodies.BLADE_THICKNESS / 2 - heights[-1])
+    share = np.mean(forces[180:]) / weight
     name = f'blade of {FREE_MASS:g} kg, free in height'
     return [
         Check(f'{name}: drift after 3 s, mm/s', drift, 0.0, 0.05, f'{depth:.1f} mm deep'),
-        Check(
-            f'{name}: force over weight', np.mean(forces[180:]) / weight, 1.0, 0.005, '3 to 3.5 s'
-        ),
+        Check(f'{name}: force over weight', share, 1.0, 0.005, '3 to 3.5 s'),
         Check(f'{name}: depth of the edge, mm', depth, note='after 3.5 s'),
     ]

@@ -50,12 +50,13 @@ def frames(made, count):
     return np.array([np.concatenate(made.frame()) for _ in range(count)])
 
 
-def update(row, gradient, dt, damping=0.0):
+def update(row, gradient, dt, damping=0.0, steps=1):
     """Updates the stress of one particle, a row of `COLUMNS`, in place; what acts, [6]."""
     block = make_block(row[None])
     keep_elastic(block, 0)
     block.gradient[:: columns.CHUNK] = np.ravel(gradient)
-    stress.update_stress(block, 0, 1, dt, SOIL, damping)
+    for _ in range(steps):
+        stress.update_stress(block, 0, 1, dt, SOIL, damping)
     return_elastic(block, 0)
     row[:] = block.particles[0]
     return block.stress[:: columns.CHUNK].copy()

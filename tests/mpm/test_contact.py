@@ -52,10 +52,7 @@ def below(depth):
 def test_particle_outside_its_radius_is_free_and_lets_go():
     grip, force, load = touch(MIDDLE, [0, 5.0, 0], WHEEL, below(-1e-9), grip=(1.0, 2.0, 3.0))
     assert not grip.any() and not force.any() and not load.any()
-
-
-def test_soil_has_moved_since_the_exchange():
-    """The nodes' displacement counts: what was outside is inside now."""
+    # The nodes' displacement counts: what was outside at the exchange is inside now.
     _, force, _ = touch(MIDDLE, STILL, WHEEL, below(-1e-3), moved=(0.0, 3e-3, 0.0))
     np.testing.assert_allclose(force, [0.0, -LAW.stiffness * 2e-3, 0.0], rtol=1e-9, atol=1e-12)
 
@@ -85,7 +82,7 @@ def test_body_that_moves_with_the_soil_drags_nothing():
     np.testing.assert_allclose(grip, 0.0, atol=1e-18)
 
 
-@pytest.mark.parametrize('seed', range(5))
+@pytest.mark.parametrize('seed', range(3))
 @pytest.mark.parametrize('friction', [0.0, 0.5])
 def test_force_lies_in_the_cone_and_its_moment_balances(seed, friction):
     """On a leaning blade, anywhere near its surface, against sums over what the soil gets."""

@@ -14,7 +14,7 @@ import types
 import pytest
 
 from learning_to_simulate.soil_field import field
-from mpm import batch, bodies, new_tool
+from mpm import batch, bodies, new_tool, scenes
 from mpm.simulation import Settings
 from tests.learning_to_simulate.native import worlds
 from tests.mpm import small
@@ -112,28 +112,36 @@ def test_from_an_outline_to_c_with_a_kill_in_between(tmp_path, monkeypatch, caps
     usual = str(tmp_path / 'usual')  # of few weights, in place of the shipped one
     os.makedirs(usual)
     field.save(usual, worlds.soil_field('blade'))
-    # Runs of a coarse grid count as made.
+    # Short runs of a coarse grid count as made.
     cases = tuple(new_tool.planned(checked, count)[2])
-    raw = str(out / 'raw')
-    batch.generate(small.BLADE, cases, raw, Settings(), tool=checked)
+    with monkeypatch.context() as patch:
+        patch.setattr(scenes, 'FRAMES', 61)
+        batch.generate(small.BLADE, cases, str(out / 'raw'), Settings(), tool=checked)
     first = started(tool, out, f'--runs={count}', '--num_steps=20', f'--initial_weights={usual}')
     while not (out / 'model').exists():  # it trains
         assert first.poll() is None, first.communicate()
         time.sleep(0.1)
     os.kill(first.pid, signal.SIGKILL)
-    assert '2 of 5' in first.communicate()[0]
+    told = first.communicate()[0].splitlines()
+    assert [line[4] for line in told if line.startswith('---')] == ['1', '2', '3']
     steps = []
 
     def do(self, step, module, *arguments):
-        """The command, in this process."""
+        """The command, in this process. How a training goes on is seen in `test_method.py` of the
+        soil field: here it is done."""
+        steps.append(step)
+        if step in ('1 of 5, runs of the solver', '3 of 5, training'):
+            assert f'--- {step}: python -m {module} {" ".join(arguments)}' in told
+        if step == '3 of 5, training':
+            field.save(str(out / 'model'), worlds.soil_field('blade'))
+            return
         done = call_command(module, *arguments)
         assert done.returncode == 0, done.stderr
-        steps.append(step)
 
     monkeypatch.setattr(new_tool.Work, 'do', do)
     asked = {
         'runs': count, 'kept': None, 'initial_weights': usual, 'num_steps': 20, 'formats': ['c'],
-        'learning_rate': 1e-3, 'num_processes': 1, 'cluster': '', 'output_path': str(out),
+        'learning_rate': 1e-3, 'num_processes': 2, 'cluster': '', 'output_path': str(out),
     }  # fmt: skip
     new_tool.main(types.SimpleNamespace(**asked), [str(tool)])
     judged = [f'4 of 5, runs kept back, {name}' for name in ('judged', 'judged_as_it_is')]

@@ -30,21 +30,15 @@ def test_outline_lies_on_the_surface(body):
 
 
 def test_runs_are_drawn_whatever_moved_the_tool(tmp_path, monkeypatch):
-    """A case of the grid, a path of one's own, a drawn tool, a wheel."""
+    """A case of the grid, a path of one's own; a drawn tool and a wheel are `body_of`'s."""
     pytest.importorskip('matplotlib')
     monkeypatch.setattr(scenes, 'FRAMES', 2)
-    monkeypatch.setattr('mpm.motions.grid.REST_FRAMES', 2)
-    path = tmp_path / 'mine.csv'
+    path, file = tmp_path / 'mine.csv', tmp_path / 'runs.png'
     path.write_text('time_s,x_m,y_m,angle_deg\n0,0.8,0.3,0\n0.01,0.8,0.29,-5\n')
-    bucket = operator_paths.bucket(0.1, 0.3, True)
-    for name, scene, runs, tool in (
-        ('blade', small.BLADE, (22, Recording(str(path), 1)), None),
-        ('bucket', small.BLADE, ('halts_0000',), bucket), ('wheel', small.WHEEL, (5,), None),
-    ):  # fmt: skip
-        folder, file = str(tmp_path / name), tmp_path / f'{name}.png'
-        batch.generate(scene, runs, folder, Settings(), tool=tool)
-        assert len(picture.first_of_each_kind(folder)) == len(runs)
-        picture.draw_runs(folder, runs, str(file))
-        assert file.read_bytes()[:4] == b'\x89PNG'
+    runs, folder = (22, Recording(str(path), 1)), str(tmp_path / 'raw')
+    batch.generate(small.BLADE, runs, folder, Settings())
+    assert picture.first_of_each_kind(folder) == [22, 'path_mine']
+    picture.draw_runs(folder, runs, str(file))
+    assert file.read_bytes()[:4] == b'\x89PNG'
     with pytest.raises(ValueError, match='no finished raw runs'):
         picture.first_of_each_kind(str(tmp_path))

@@ -67,24 +67,16 @@ def test_splits_share_the_runs_of_a_part():
     assert {splits.split_of(scenes.EXCAVATION, case) for case in parts[2]} == {'test'}
     first = record.Selection(limit=3, splits=['test'])
     assert record.runs_of('operator', first) == parts[2][:3]  # the limit counts these alone
+    with pytest.raises(ValueError, match="unknown part 'sea'; there are operator, machine, beside"):
+        record.runs_of('sea')
+    with pytest.raises(ValueError, match=r"unknown splits \['exam'\]; there are train, valid, te"):
+        record.runs_of('operator', record.Selection(splits=['exam']))
 
 
 def test_list_says_what_would_be_made():
     rows = [line.split() for line in record.table(record.PARTS).splitlines()]
     assert ['operator', 'lift', '34', '19', '5', '10'] in rows
     assert ['wheel_grid', 'grid', '40', '19', '5', '16'] in rows
-
-
-@pytest.mark.parametrize(
-    ('part', 'splits', 'words'),
-    [
-        ('sea', ['test'], "unknown part 'sea'; there are operator, machine, beside"),
-        ('operator', ['exam'], r"unknown splits \['exam'\]; there are train, valid, test"),
-    ],
-)
-def test_unknown_parts_and_splits_are_refused(part, splits, words):
-    with pytest.raises(ValueError, match=words):
-        record.runs_of(part, record.Selection(splits=splits))
 
 
 def test_command_ends_in_one_line():

@@ -6,19 +6,22 @@ import numpy as np
 import pytest
 
 from mpm import DATA_VERSION, SOLVER_VERSION, run, scenes, splits
-from mpm.motions import catalogue
+from mpm.motions import catalogue, operator_paths
 from mpm.picture import body_of
 from mpm.simulation import Settings
 from tests.mpm import small
+
+BUCKET = operator_paths.bucket(0.1, 0.3, True)
 
 
 @pytest.fixture
 def made(monkeypatch):
     """Makes a run of some frames."""
 
-    def make(scene, case, count, settings=None, on_frame=lambda frame: None):
+    def make(scene, case, count, settings=None, on_frame=lambda frame: None, tool=None):
         monkeypatch.setattr(scenes, 'FRAMES', count)
-        return run.run_case(scene, case, small.packed(scene), settings or Settings(), on_frame)
+        packed, chosen = small.packed(scene), settings or Settings()
+        return run.run_case(scene, case, packed, chosen, on_frame, tool)
 
     return make
 
@@ -74,7 +77,8 @@ def test_wheel_that_the_soil_does_not_carry_is_an_error(made, monkeypatch):
 
 
 def test_a_free_run_says_what_drove_it(made):
-    found = made(small.BLADE, 'free_0000', 9)
+    found = made(small.BLADE, 'free_0000', 9, tool=BUCKET)
+    check_points(found)
     assert found.target.shape == found.external.shape == (9, 3)
     assert found.subframe_force.shape == (9, 4, 3)
     np.testing.assert_allclose(found.subframe_force.mean(axis=1), found.force, atol=1e-3)

@@ -15,7 +15,7 @@ from mpm.simulation import Settings
 from mpm.solver import EXCHANGE
 from tests.mpm import small
 
-STIFFNESS = {'E x 0.1': 1.5e5, 'E x 1': 1.5e6, 'E x 10': 1.5e7, 'E x 100': 1.5e8}
+STIFFNESS = {'E x 0.1': 1.5e5, 'E x 100': 1.5e8}
 STIFF = pytest.mark.parametrize('modulus', STIFFNESS.values(), ids=STIFFNESS)
 
 
@@ -39,12 +39,6 @@ def energy_of(experiment, gravity=EARTH_GRAVITY):
     return float(mechanical + experiment.solver.volume * elastic)
 
 
-def speed_of(experiment):
-    """Largest speed of the soil, m/s."""
-    velocity = experiment.particles[:, columns.V : columns.V + 3]
-    return np.linalg.norm(velocity, axis=1).max()
-
-
 @STIFF
 def test_dropped_block_gains_no_energy(modulus):
     """It falls 5 cm on the floor at the step of a run: what it has at last it had at first."""
@@ -57,7 +51,8 @@ def test_dropped_block_gains_no_energy(modulus):
     for _ in range(20):
         experiment.advance(0.2 / 20)
         energies.append(energy_of(experiment))
-        speeds.append(speed_of(experiment))
+        velocity = experiment.particles[:, columns.V : columns.V + 3]
+        speeds.append(np.linalg.norm(velocity, axis=1).max())
     # Measured after 10 ms and more: at most 0.99997 of the first; at last 0.26 (soft) to 0.47.
     assert max(energies) <= start * (1 + 1e-12)  # falling keeps it, to the last digit
     assert max(speeds) <= 1.2 * math.sqrt(2 * EARTH_GRAVITY * 0.05)
@@ -157,7 +152,7 @@ def simulation(path):
     return small.simulation(small.BLADE, dataclasses.replace(motion, drive=drive))
 
 
-@pytest.mark.parametrize('factor', [10.0, 1e3, 1e6])
+@pytest.mark.parametrize('factor', [10.0, 1e6])
 def test_huge_gravity_is_resolved_or_refused(factor):
     """Never a NaN, never half a cell between exchanges: either both hold or it is an error."""
     made = small.simulation(small.BLADE, 186)
@@ -174,16 +169,13 @@ def test_huge_gravity_is_resolved_or_refused(factor):
     assert np.linalg.norm(velocity, axis=1).max() * EXCHANGE <= 0.5 * made.grid.dx
 
 
-def straight(speed, spin=0.0):
-    return lambda times: (0.6 - speed * times, 0.3, spin * times)
-
-
 def test_blade_that_jumps_over_cells_is_refused():
     limit = 0.5 * small.BLADE.bin.dx / small.simulation(small.BLADE, 186).dt
-    simulation(straight(0.99 * limit)).frame()
-    for path in (straight(1.01 * limit), straight(1e9), straight(0.0, spin=4.0 * limit)):
+    simulation(lambda times: (0.6 - 0.99 * limit * times, 0.3, 0.0)).frame()
+    for speed, spin in ((1.01 * limit, 0.0), (1e9, 0.0), (0.0, 4.0 * limit)):
+        blade = simulation(lambda t, v=speed, spin=spin: (0.6 - v * t, 0.3, spin * t))
         with pytest.raises(ValueError, match='the body moves'):
-            simulation(path).frame()
+            blade.frame()
 
 
 def test_blade_at_rest_in_the_soil_feels_a_steady_force():

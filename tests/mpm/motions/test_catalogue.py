@@ -17,6 +17,13 @@ def test_a_tool_of_the_other_scene_is_refused():
         catalogue.motion_of(scenes.WHEEL, 'slip_0001', bucket)
 
 
+def test_a_tool_of_ones_own_takes_the_place_of_the_usual_one():
+    tool = {'name': 'mine', 'radius': 0.11, 'width': 0.09, 'friction': 0.4}
+    for case in ('slip_0002', 122):
+        motion = catalogue.motion_of(scenes.WHEEL, case, tool)
+        assert motion.drive.body.radius == 0.11 and motion.parameters['tool'] == tool
+
+
 def test_long_file_makes_a_long_run(tmp_path):
     path = tmp_path / 'long.csv'
     rows = [f'{t:.1f},{0.8 - 0.02 * t:.3f},0.3,0' for t in np.arange(0, 10.05, 0.1)]

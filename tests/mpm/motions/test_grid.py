@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from mpm import bodies, scenes
 from mpm.motions import grid
 
 
@@ -15,11 +14,3 @@ def test_published_blade_motion():
     # Case 186, motion 2 at 10 cm/s, frames 80 and 160 (record: 0.7005 and 0.5672).
     path = grid.blade_displacement(2, 0.08, 0.10, np.array([80.0, 160.0]) / 60)
     assert path[1, 0] - path[0, 0] == pytest.approx(0.5672 - 0.7005, abs=1e-4)
-
-
-def test_blade_leans_back_by_its_angle():
-    parameters = scenes.EXCAVATION.parameters(1) | {'angle_deg': 30.8}
-    drive = grid.make_drive(scenes.EXCAVATION, parameters)
-    rows = bodies.sample_points(drive.body, drive.pose(np.zeros(1))[0]).reshape(4, 5, 3)
-    rise = rows[-1, 0] - rows[0, 0]
-    assert np.degrees(np.arctan2(rise[0], rise[1])) == pytest.approx(30.8)

@@ -1,5 +1,5 @@
-"""Paths of an operator: of their kind, and what comes before their first frame; drawn tools. Every
-change of a path is found by `test_data_of_record.py`."""
+"""What comes before the first frame of an operator's path; drawn tools. Every change of what comes
+after is found by `test_data_of_record.py`."""
 
 import math
 
@@ -9,58 +9,28 @@ import pytest
 from mpm import bodies, scenes
 from mpm.distance import signed_distances
 from mpm.motions import catalogue
-from mpm.motions.operator_paths import BUCKET_RADII, FRAMES, KINDS, PLATE, SHELL, bucket
+from mpm.motions.operator_paths import BUCKET_RADII, PLATE, SHELL, bucket
 
 STEPS = 16  # a frame, of a path that is looked at
 
 
-@pytest.fixture(params=KINDS)
-def paths(request):
-    """The first motions of a kind, as (motion, poses in steps from the lead-in's beginning on,
-    depths of the lowest point below the flat surface in m)."""
-    made = []
+@pytest.mark.parametrize('kind', ['disturbed', 'beside', 'soils'])
+def test_an_earlier_pass_cuts_the_bed_before_the_first_frame(kind):
     for seed in range(8):
-        case = catalogue.seed_case(request.param, seed)
+        case = catalogue.seed_case(kind, seed)
         scene = catalogue.in_bin(scenes.EXCAVATION, case)
         motion = catalogue.motion_of(scene, case)
-        times = np.arange(motion.simulated_frames * STEPS + 1) / 60 / STEPS
-        poses = motion.drive.pose(times)
-        lowest = bodies.lowest(motion.drive.body, poses[:, 2])
-        made.append((motion, poses, scene.bin.surface - poses[:, 1] - lowest))
-    return made
-
-
-def test_each_plot_shows_what_it_is_for(paths):
-    for motion, poses, depth in paths:
-        start = motion.drive.lead_in * STEPS
-        x, is_below = poses[start::STEPS, 0], depth[start::STEPS] > 0.0
-        kind, plot = motion.parameters['kind'], motion.parameters['plot']
-        assert is_below.sum() > (40 if kind in FRAMES else 60)  # about a second in the soil
-        assert plot == kind or kind in ('disturbed', 'beside', 'soils', 'tools')
-        forward = -np.diff(x) * 60.0
-        if plot in ('smooth', 'halts', 'trench'):
-            assert forward.min() > -1e-9
-        within_a_frame = (forward[:-2] > 0.03) & (np.abs(forward[2:]) < 1e-9)
-        assert within_a_frame.any() == (plot == 'halts')
-        if plot == 'stops':
-            still = (np.abs(forward) < 1e-3) & is_below[1:]
-            assert still[10:].sum() >= 2 * 15
-        if kind == 'trench':
-            assert 1.1 < np.ptp(x) < 1.6 and motion.frames > 320
-        else:
-            assert motion.frames == FRAMES.get(kind, 320)
-
-
-def test_an_earlier_pass_cuts_the_bed_before_the_first_frame(paths):
-    for motion, poses, depth in paths:
+        poses = motion.drive.pose(np.arange(motion.simulated_frames * STEPS + 1) / 60 / STEPS)
+        lowest = poses[:, 1] + bodies.lowest(motion.drive.body, poses[:, 2])
+        depth = scene.bin.surface - lowest
         said, lead_in = motion.parameters, motion.drive.lead_in
-        assert said['lead_in_frames'] == lead_in
         offsets = said.get('offsets_m', [])
-        assert (lead_in > 0) == bool(offsets) or said['kind'] != 'beside'
-        if said['kind'] in ('disturbed', 'beside') or said['plot'] == 'disturbed':
-            assert lead_in > 120
+        assert bool(offsets) == (kind == 'beside')
+        assert said['lead_in_frames'] == lead_in
         if not lead_in:
+            assert kind == 'soils'
             continue
+        assert lead_in > 120
         end = lead_in * STEPS
         lead, depth = poses[: end + 1], depth[: end + 1]
         assert depth.max() > 0.019 and np.ptp(lead[:, 0]) > 0.1
