@@ -41,14 +41,10 @@ def load(path: str, split: str, nodes: str = 'modes', modes: int = 0) -> NriData
         raise ValueError(f'nodes {nodes!r} is not one of {NODE_KINDS}')
     if not os.path.isdir(path):
         raise FileNotFoundError(f'{path}: no such folder')
-    if os.path.exists(os.path.join(path, 'metadata.json')):
-        data = _load_subspace(path, split, nodes, modes)
-    elif modes:
-        raise ValueError(
-            f'{path}: is no dataset of this project, so it has no modes to choose from'
-        )
-    else:
-        data = _load_kipf(path, split)
+    is_ours = os.path.exists(os.path.join(path, 'metadata.json'))
+    if modes and not is_ours:
+        raise ValueError(f'{path}: is no dataset of this project, it has no modes to choose from')
+    data = _load_subspace(path, split, nodes, modes) if is_ours else _load_kipf(path, split)
     if data.features.shape[1] < 2:
         raise ValueError(f'{data.source}: has one node, a relation needs at least two')
     return data
@@ -68,9 +64,8 @@ def _load_subspace(path, split, nodes, modes):
     names = [n for n in ('metadata.json', 'train.tfrecord') if os.path.exists(f'{path}/{n}')]
     n_rigid = 0
     if nodes == 'modes_and_rigid':
-        n_rigid = min(run.n_rigid for run in runs)
-        if split != 'train':
-            n_rigid = min(n_rigid, min(r.n_rigid for r in dataset.read_split(path, 'train')))
+        trained_on = [] if split == 'train' else dataset.read_split(path, 'train')
+        n_rigid = min(run.n_rigid for run in [*runs, *trained_on])
         if not n_rigid:
             raise ValueError(
                 f'{path}: {split} has runs without rigid particles; take --nodes=modes'

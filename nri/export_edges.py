@@ -5,16 +5,15 @@ Examples:
   python -m nri.export_edges --model_path=/tmp/nri_excavation --data_path=datasets/excavation \\
       --output_path=/tmp/edges
 
-  # the 20 most probable ones; then train on them
+  # the 20 most probable ones
   python -m nri.export_edges --model_path=/tmp/nri_excavation --data_path=datasets/excavation \\
       --output_path=/tmp/edges --keep=20
-  python -m learning_to_simulate.train --adjacency=/tmp/edges/edges.json --data_path=... \\
-      --model_path=...
 
-Writes edges.json (schema in docs/data.md), edges.npy (bool, [receiver, sender]) and edges.png
-(senders x receivers). NRI knows no self-edges; they carry nothing that a node's own update does not
-see. A graph without any edge, or with all of them, is not exported unless --allow_degenerate is
-given: it says that the encoder collapsed, not what the soil does.
+Writes edges.json (schema in docs/data.md; a training takes it by `--adjacency`), edges.npy (bool,
+[receiver, sender]) and edges.png (senders x receivers). NRI knows no self-edges; they carry nothing
+that a node's own update does not see. A graph without any edge, or with all of them, is not
+exported unless --allow_degenerate is given: it says that the encoder collapsed, not what the soil
+does.
 """
 
 import dataclasses
@@ -87,8 +86,8 @@ def find_edges(
         raise ValueError(f'{model_path} was trained without skip_first: no type means "no edge"')
     posterior = edge_posterior(model, data.features)
     probabilities = posterior.mean(axis=0)
-    wish = {'threshold': threshold} if keep is None else {'keep': keep}
-    mask = edge_lists.select(probabilities, **wish)
+    limit = threshold if keep is None else None
+    mask = edge_lists.select(probabilities, threshold=limit, keep=keep)
     found = edge_lists.degeneracy(mask)
     if found and not allow_degenerate:
         p = probabilities[~np.isnan(probabilities)]
@@ -97,15 +96,10 @@ def find_edges(
             f'threshold is {threshold}; give --keep or another --threshold, or --allow_degenerate '
             f'to export it all the same'
         )
+    digests = {'model': model.digest, 'data': data.digest} | edge_lists.data_digests(data_path)
+    report = spread(posterior, threshold) | {'split': 'train'}
     return edge_lists.EdgeList(
-        mask=mask,
-        node_names=data.node_names,
-        probabilities=probabilities,
-        method='nri',
-        threshold=wish.get('threshold'),
-        digests={'model': model.digest, 'data': data.digest, **edge_lists.data_digests(data_path)},
-        degenerate=found,
-        report=spread(posterior, threshold) | {'split': 'train'},
+        mask, data.node_names, probabilities, 'nri', limit, digests, found, report
     )
 
 

@@ -90,17 +90,12 @@ class NriModel(snt.Module):
 
     def losses(self, features, seed, true_edges=None, is_training=False) -> dict[str, tf.Tensor]:
         """Negative evidence bound of a batch [B, V, window, F], the same in training and
-        validation.
+        validation; `is_training` as for `logits`.
 
-        Args:
-          seed: int32 [2], of the edge sample and of the segment that is predicted.
-          true_edges: int32 [B, V (V - 1)]; used by supervised training alone.
-          is_training: whether layers are normalised with the statistics of this batch.
-
-        Returns:
-          scalars: 'loss', and what it is made of: 'nll' and 'kl' per node, scaled to the whole
-          window; or 'loss' alone, the cross-entropy, if supervised.
-        """
+        The seed, int32 [2], is of the edge sample and of the segment that is predicted; true edges
+        are int32 [B, V (V - 1)]. Returns scalars: 'loss', and what it is made of: 'nll' and 'kl'
+        per node, scaled to the whole window; if supervised, 'loss' alone, the cross-entropy of the
+        true edges."""
         c = self.config
         frames = self.normalized(features)
         logits = self.logits(frames, is_training)

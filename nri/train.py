@@ -1,14 +1,11 @@
 """Learns from trajectories which nodes act on which (Neural Relational Inference).
 
 Examples:
-  # our datasets: which modes act on which; then export the edges
+  # our datasets: which modes act on which; `nri.export_edges` exports the edges
   python -m nri.train --data_path=datasets/excavation --model_path=/tmp/nri_excavation \\
       --window=50 --hidden=64 --epochs=200
-  python -m nri.export_edges --data_path=datasets/excavation --model_path=/tmp/nri_excavation \\
-      --output_path=/tmp/edges
 
-  # springs of Kipf et al., made here; finds 99 % of the edges after half an hour of one core
-  python -m nri.simulate --system=springs --n_objects=5 --output_path=/tmp/springs5
+  # springs of Kipf et al., of `nri.simulate`: 99 % of the edges after half an hour of one core
   python -m nri.train --data_path=/tmp/springs5 --model_path=/tmp/nri_springs5 \\
       --hidden=64 --batch_size=64 --learning_rate=1e-3 --epochs=180 --decay_start=100 \\
       --decay_epochs=10

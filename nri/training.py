@@ -75,9 +75,8 @@ class Trainer:
         self.steps_per_epoch = self.n_sample // self.batch_size
         self.learning_rate = LateDecay(self.config, self.steps_per_epoch)
         self.optimizer = tf.keras.optimizers.Adam(self.learning_rate, global_clipnorm=1.0)
-        variables = list(model.trainable_variables)
-        if self.config.supervised:
-            variables = list(model.encode.trainable_variables)
+        trained = model.encode if self.config.supervised else model
+        variables = list(trained.trainable_variables)
         self.optimizer.build(variables)
         by_time = train.features.transpose(0, 2, 1, 3)
         self._frames = tf.constant(by_time.reshape(n_run * n_frame, n_node, n_feature))
@@ -131,9 +130,7 @@ class Trainer:
         totals: dict[str, float] = collections.defaultdict(float)
         for first in range(0, len(windows), _VALID_BATCH):
             batch = tf.constant(windows[first : first + _VALID_BATCH])
-            edges = data.edges
-            if edges is not None:
-                edges = tf.constant(edges[first : first + _VALID_BATCH])
+            edges = None if data.edges is None else data.edges[first : first + _VALID_BATCH]
             seed = tf.constant([config.seed * 8 + _VALID_STREAM, first], tf.int32)
             for name, value in self._validation_losses(batch, seed, edges).items():
                 totals[name] += float(value) * len(batch)

@@ -24,60 +24,62 @@ from learning_to_simulate.soil_field import runs as runs_lib
 from pca_tools import dataset, files
 from reports import markdown, record
 from reports.protocol import judge
-from reports.protocol.tables import MEDIANS, TITLES
+from reports.protocol.tables import TITLES, average
 
 ERRORS = 'near_mm', 'force_relative_l2', 'drawbar_relative_l2', 'flagged_share'
 # Scene -> the datasets whose test runs are compared with.
 SCENES = {'excavation': ('excavation', 'excavation_wide'), 'wheel': ('wheel',)}
 
 
-def judged(scene: str) -> dict:
-    """Runs of kind `beyond` with their errors, and `judge.separation` without and with them."""
+def rolled_out(evaluator, runs) -> tuple[list[dict], list[tuple]]:
+    """Errors of each run, and what `judge.separation` takes."""
     from learning_to_simulate.soil_field import evaluation
 
-    field = lts.load(scene).model
-    judges = evaluation.SoilEvaluator(field, under_load=False)
+    errors, frames = [], []
+    for run in runs:
+        rollout = evaluator.roll_out(run)
+        flagged = np.array([status != RolloutStatus.OK for status in rollout.frame_status])
+        frames.append((rollout.force[H:], run.force[H:], flagged[H:]))
+        errors.append(evaluation.of_rollout(rollout, run))
+    return errors, frames
+
+
+def judged(scene: str) -> tuple[dict, dict]:
+    """Runs of kind `beyond` with their errors, and `judge.separation` without and with them; errors
+    of each test run of a wheel, forwards and mirrored ({} of a blade)."""
+    from learning_to_simulate.soil_field import evaluation
+
+    evaluator = evaluation.SoilEvaluator(lts.load(scene).model, under_load=False)
+    usual = runs_lib.read_all([f'datasets/{data}' for data in SCENES[scene]], 'test')
+    errors, frames = rolled_out(evaluator, usual)
     folder = f'datasets/{scene}_beyond'
-    cases = dataset.read_metadata(folder)['cases']['test']
-    plots = {str(case['case']): case['plot'] for case in cases}
-    frames: dict[str, list] = {'test': [], 'beyond': []}
-    rows = []
-    usual = [run for data in SCENES[scene] for run in runs_lib.read(f'datasets/{data}', 'test')]
-    for name, runs in (('test', usual), ('beyond', runs_lib.read(folder, 'test'))):
-        for run in runs:
-            rollout = judges.roll_out(run)
-            flagged = np.array([s != RolloutStatus.OK for s in rollout.frame_status])
-            frames[name].append((rollout.force[H:], run.force[H:], flagged[H:]))
-            if name == 'beyond':
-                errors = evaluation.of_rollout(rollout, run)
-                kept = ('soil_mm', 'force_relative_l2', 'flagged_share')
-                rows.append({'run': plots[run.case], 'reason': rollout.judgement.reason}
-                            | {key: errors[key] for key in kept})  # fmt: skip
-    told = {'test runs': frames['test'], 'with those beyond': frames['test'] + frames['beyond']}
-    return {'runs': rows, 'separation': {name: judge.separation(of) for name, of in told.items()}}
-
-
-def backwards() -> dict:
-    """Errors of each test run of a wheel, forwards and mirrored."""
-    from learning_to_simulate.soil_field import evaluation
-
-    judges = evaluation.SoilEvaluator(lts.load('wheel').model, under_load=False)
-    folders = [f'datasets/{data}' for data in SCENES['wheel']]
-    runs = runs_lib.read_all(folders, 'test')
-    found: dict = {}
-    for way, those in (('forwards', runs), ('backwards', [run.mirrored() for run in runs])):
-        rows = [evaluation.of_rollout(judges.roll_out(run), run) for run in those]
-        found[way] = {key: [float(f'{row[key]:.4g}') for row in rows] for key in ERRORS}
-    return found
+    plots = {str(c['case']): c['plot'] for c in dataset.read_metadata(folder)['cases']['test']}
+    beyond = runs_lib.read(folder, 'test')
+    errors_beyond, frames_beyond = rolled_out(evaluator, beyond)
+    kept = 'soil_mm', 'force_relative_l2', 'flagged_share'
+    told = {'test runs': frames, 'with those beyond': frames + frames_beyond}
+    found = {
+        'runs': [
+            {'run': plots[run.case], 'reason': row['status_reason']} | {k: row[k] for k in kept}
+            for run, row in zip(beyond, errors_beyond, strict=True)
+        ],
+        'separation': {name: judge.separation(of) for name, of in told.items()},
+    }
+    if scene != 'wheel':
+        return found, {}
+    mirrored, _ = rolled_out(evaluator, [run.mirrored() for run in usual])
+    ways = {'forwards': errors, 'backwards': mirrored}
+    return found, {
+        way: {key: [record.four(row[key]) for row in rows] for key in ERRORS}
+        for way, rows in ways.items()
+    }
 
 
 def ways(path: str) -> str:
     """A wheel forwards and backwards: means over the runs, the median of the drawbar."""
     rows = []
     for way, of in files.read_json(path)['ways'].items():
-        *figures, flagged = (
-            float((np.median if key in MEDIANS else np.mean)(of[key])) for key in ERRORS
-        )
+        *figures, flagged = (average(key, of[key]) for key in ERRORS)
         name = f'wheel, {way} ({len(of[ERRORS[0]])} runs)'
         rows.append([name, *figures, f'{100 * flagged:.0f}'])
     titles = [TITLES[key] for key in ERRORS[:-1]]
@@ -111,8 +113,10 @@ def separations(path: str) -> str:
 
 def main(values) -> None:
     found: dict = record.provenance(1)
-    found['scenes'] = {scene: judged(scene) for scene in SCENES}
-    found['ways'] = backwards()
+    found |= {'scenes': {}, 'ways': {}}
+    for scene in SCENES:
+        found['scenes'][scene], ways_of_scene = judged(scene)
+        found['ways'] |= ways_of_scene
     files.write_json(values.output_path, found)
     print(*(made(values.output_path) for made in (table, separations, ways)), sep='\n\n')
 

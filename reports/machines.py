@@ -176,13 +176,13 @@ def figures(found, run) -> dict:
     """What is reported of a motion [T, 4] beside the recorded one; {} of a tool that was refused or
     that no ground bears, so that it ends a metre away."""
     true = np.column_stack([run.pose[:, :2], run.force[:, :2]])
-    off = 1e3 * (found - true)[:, :2]
-    if not np.abs(off).max() < 1e3:
+    off = (found - true)[:, :2]
+    if not np.abs(off).max() < 1.0:
         return {}
     ends = [np.linalg.norm(rows[-END:, 2:].mean(axis=0)) for rows in (found, true)]
     return {
-        'rms_mm': float(np.sqrt(np.mean(np.sum(off**2, axis=1)))),
-        'end_mm': float(np.linalg.norm(off[-1])),
+        'rms_mm': rms_mm(off),
+        'end_mm': float(1e3 * np.linalg.norm(off[-1])),
         'end_force_error': float(ends[0] / ends[1] - 1),
         'force_relative_l2': float(
             np.linalg.norm((found - true)[6:, 2:]) / np.linalg.norm(true[6:, 2:])
@@ -192,6 +192,11 @@ def figures(found, run) -> dict:
         'work_error': work(found) / work(true) - 1 if work(true) else None,
         'settling_s': settling(found, run), 'true_settling_s': settling(true, run),
     }  # fmt: skip
+
+
+def rms_mm(off) -> float:
+    """Root mean square, in mm, of the lengths of vectors [T, 2] in m."""
+    return float(1e3 * np.sqrt(np.mean(np.sum(off**2, axis=1))))
 
 
 def work(rows) -> float:
@@ -224,8 +229,7 @@ def ripple(rows) -> float:
     """mm about a straight line over the last half second: a limit cycle."""
     t = np.arange(END) - (END - 1) / 2
     tail = rows[-END:, :2] - rows[-END:, :2].mean(axis=0)
-    tail = tail - t[:, None] * (t @ tail) / (t @ t)
-    return float(1e3 * np.sqrt(np.mean(np.sum(tail**2, axis=1))))
+    return rms_mm(tail - t[:, None] * (t @ tail) / (t @ t))
 
 
 REST_S = 2.0  # of a plate on its weight
@@ -348,7 +352,7 @@ def apart(found, run, evaluator) -> float | None:
     """mm (root mean square) between a motion [T, 4] and that of `LoadedTool` on the same field;
     None where that one is refused."""
     other = np.asarray(evaluator.roll_out(run, under_load=True).pose)[:, :2]
-    off = float(1e3 * np.sqrt(np.mean(np.sum((found[:, :2] - other) ** 2, axis=1))))
+    off = rms_mm(found[:, :2] - other)
     return off if np.isfinite(off) else None
 
 
@@ -362,9 +366,7 @@ def main(values) -> None:
     machines, fields = [], {name: method.load(path) for name, path in MODELS.items()}
     for name, field in fields.items():
         evaluator, kinds = evaluation.SoilEvaluator(field), set()
-        for run in (
-            run for data in DATASETS[name] for run in runs.read(f'datasets/{data}', 'test')
-        ):
+        for run in runs.read_all([f'datasets/{data}' for data in DATASETS[name]], 'test'):
             if run.machine is None or (run.tool.name == 'wheel' and run.kind in kinds):
                 continue
             kinds.add(run.kind)

@@ -12,7 +12,6 @@ Examples:
         --output_path=docs/packing.json
 """
 
-import numpy as np
 from absl import flags
 
 import learning_to_simulate as lts
@@ -21,7 +20,7 @@ from learning_to_simulate.soil_field import runs as runs_lib
 from pca_tools import files
 from pca_tools.metadata import SPLITS
 from reports import markdown, record
-from reports.protocol.tables import MEDIANS, TITLES
+from reports.protocol.tables import TITLES, average
 
 # Tool of a field -> its shipped model, and the datasets that hold its runs with the usual packing.
 SCENES = {
@@ -44,12 +43,12 @@ def judged(tool: str, others: list[runs_lib.Run]) -> list[dict]:
 
     model, folders = SCENES[tool]
     judges = evaluation.SoilEvaluator(lts.load(model).model, under_load=False)
-    splits = sorted({run.split for run in others})
+    paths = [f'datasets/{folder}' for folder in folders]
     usual = {
         run.case: run
-        for split in splits for run in runs_lib.read_all(
-            [f'datasets/{folder}' for folder in folders], split, is_needed=False)
-    }  # fmt: skip
+        for split in sorted({run.split for run in others})
+        for run in runs_lib.read_all(paths, split, is_needed=False)
+    }
     if absent := [run.case for run in others if run.case not in usual]:
         raise ValueError(f'{", ".join(absent)}: no such run in datasets {", ".join(folders)}')
     rows = []
@@ -57,14 +56,14 @@ def judged(tool: str, others: list[runs_lib.Run]) -> list[dict]:
         run = usual[other.case]
         apart = evaluation.load_errors(run, other.force[H:], other.torque[H:])
         apart |= evaluation.terrain_errors(run, other.heights)
-        errors = {
-            'packings': apart,
-            'usual': evaluation.of_rollout(judges.roll_out(run), run),
-            'other': evaluation.of_rollout(judges.roll_out(other), other),
-        }
-        kept = {who: {key: float(f'{of[key]:.4g}') for key in QUANTITIES}
-                for who, of in errors.items()}  # fmt: skip
-        rows.append({'case': run.case, 'kind': run.kind, 'split': run.split} | kept)
+        row: dict = {'case': run.case, 'kind': run.kind, 'split': run.split}
+        for who, errors in (
+            ('packings', apart),
+            ('usual', evaluation.of_rollout(judges.roll_out(run), run)),
+            ('other', evaluation.of_rollout(judges.roll_out(other), other)),
+        ):
+            row[who] = {key: record.four(errors[key]) for key in QUANTITIES}
+        rows.append(row)
     return rows
 
 
@@ -73,10 +72,7 @@ def table(path: str) -> str:
     rows = []
     for tool, runs in files.read_json(path)['tools'].items():
         for who, name in WHO.items():
-            cells = [
-                float((np.median if key in MEDIANS else np.mean)([run[who][key] for run in runs]))
-                for key in QUANTITIES
-            ]
+            cells = [average(key, [run[who][key] for run in runs]) for key in QUANTITIES]
             rows.append([f'{tool} ({len(runs)} runs): {name}', *cells])
     return markdown.table(['difference', *(TITLES[key] for key in QUANTITIES)], rows)
 

@@ -6,6 +6,8 @@ import platform
 import subprocess
 import sys
 
+import numpy as np
+
 ROOT = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 
 
@@ -14,6 +16,11 @@ def provenance(threads: int | None = None) -> dict:
     that TensorFlow was given, None where that decides nothing."""
     command = ' '.join(['python -m', *sys.argv])
     return {'command': command, 'commit': _commit(), 'machine': _facts(threads)}
+
+
+def four(value) -> float | None:
+    """A number of a report to four digits; None where there is none, or none that is finite."""
+    return None if value is None or not np.isfinite(value) else float(f'{value:.4g}')
 
 
 def _commit():

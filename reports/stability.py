@@ -181,19 +181,21 @@ def judged(case: Case, c: dict, python: dict) -> dict:
     size = np.linalg.norm(force, axis=1).max(initial=0.0)
     lowest = max(-(c['pose'][:, 1].min(initial=0.0) - tool.radius), 0.0) + tool.radius
     weight = soil.density * soil.gravity * tool.width * lowest**2
-    row = {'case': case.name, 'frames': len(force), 'largest_N': _four(size)}
+    row: dict = {'case': case.name, 'frames': len(force), 'largest_N': record.four(size)}
     if case.load:
         weight = case.load * USUAL[tool.name]['mass'] * case.scale**3 * soil.gravity
         if case.height:
             fall = weight * case.height
             start = weight * (c['pose'][0, 1])
-            row['energy_gained'] = _four(max((c['energy'].max(initial=start) - start) / fall, 0.0))
-    row['force_over_weight'] = _four(size / weight)
+            row['energy_gained'] = record.four(
+                max((c['energy'].max(initial=start) - start) / fall, 0.0)
+            )
+    row['force_over_weight'] = record.four(size / weight)
     # Off the map soil goes, as it may.
     if c['cut'] > 1e-6 * case.scale**3 and case.shape != 'edge':
-        row['soil_came'] = _four(c['came'] / c['cut'])
+        row['soil_came'] = record.four(c['came'] / c['cut'])
     flagged = [reason for reason in c['reasons'] if reason]
-    row['flagged'] = _four(len(flagged) / max(len(force), 1))
+    row['flagged'] = record.four(len(flagged) / max(len(force), 1))
     row['by'] = sorted({reason.split()[0] for reason in flagged})
     row['refused'] = c['refused']
     count = len(python['force'])
@@ -201,7 +203,7 @@ def judged(case: Case, c: dict, python: dict) -> dict:
         c['refused'] == python['refused'] or count == compared(case) < len(force)
     )
     apart = _size(force[:count] - python['force']) if alike else np.inf
-    row['python_differs'] = _four(apart / max(_size(force[:count]), 1e-9))
+    row['python_differs'] = record.four(apart / max(_size(force[:count]), 1e-9))
     wrong = {
         'not finite': not np.isfinite(force).all(),
         'C is not Python': not apart <= AGREE * max(_size(force[:count]), 1e-9),
@@ -228,10 +230,6 @@ def compared(case: Case) -> int:
 def _size(force):
     """Root mean square."""
     return float(np.sqrt(np.mean(np.square(force)))) if force.size else 0.0
-
-
-def _four(value):
-    return float(f'{value:.4g}') if np.isfinite(value) else None
 
 
 def network(folder: str, data_path: str) -> list[dict]:
@@ -263,7 +261,7 @@ def network(folder: str, data_path: str) -> list[dict]:
         wrong = ['not finite'] * (not np.isfinite(found.force).all() and not flagged)
         rows.append({
             'case': name, 'status': str(found.status), 'reason': found.reason,
-            'force_over_recorded': _four(size / recorded), 'wrong': wrong,
+            'force_over_recorded': record.four(size / recorded), 'wrong': wrong,
         })  # fmt: skip
     for name, dt in (('frames of 0.5 ms', 5e-4), ('frames of 50 ms', 0.05)):
         live = model.stepper()

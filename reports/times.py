@@ -18,7 +18,6 @@ Examples:
 import functools
 import os
 import re
-import time
 
 import numpy as np
 from absl import flags
@@ -50,7 +49,7 @@ def driven(data_path: str) -> int:
 
 
 def _cases(data_path, split):
-    return dataset.read_metadata(data_path).get('cases', {}).get(split, [])
+    return dataset.read_metadata(data_path)['cases'].get(split, [])
 
 
 def runs_s(data_path: str) -> float:
@@ -61,15 +60,15 @@ def runs_s(data_path: str) -> float:
     return float(sum(case.get('solver_cpu_s', 0.0) for case in cases))
 
 
-def solver_ms(data_path: str) -> float | None:
-    """Milliseconds of CPU of a frame of the solver, median over the runs; None if not stated."""
+def solver_ms(data_path: str) -> float:
+    """Milliseconds of CPU of a frame of the solver, median over the runs that state it."""
     runs = dataset.read_split(data_path, 'test')
     known = [
         1e3 * case['solver_cpu_s'] / (run.n_frames - 1)
-        for run, case in zip(runs, _cases(data_path, 'test'), strict=False)
+        for run, case in zip(runs, _cases(data_path, 'test'), strict=True)
         if 'solver_cpu_s' in case
     ]
-    return float(np.median(known)) if known else None
+    return float(np.median(known))
 
 
 def field_jobs(folder: str, data_path: str) -> tuple[dict, dict]:
@@ -88,14 +87,8 @@ def field_jobs(folder: str, data_path: str) -> tuple[dict, dict]:
     def steps(members, engine, has_particles):
         stepper = SoilStepper(field, run.before(), run.tool, members, engine)
         stepper.start(path[0], points if has_particles else None)
-        seconds = []
-        for pose in path[1:]:
-            begun = time.perf_counter()
-            stepper.step(pose, run.dt)
-            if has_particles:
-                stepper.particles()
-            seconds.append(time.perf_counter() - begun)
-        return seconds
+        given = [{'dt': run.dt}] * (len(path) - 1)
+        return timing.steps(stepper, path[1:], given, has_particles)
 
     for members in range(1, field.networks.members + 1):
         for engine, where in ((C, 'C'), (TENSORFLOW, 'TensorFlow')):
@@ -153,12 +146,12 @@ def measured(data_path: str, field: str, models: dict[str, str], protocol: dict)
         row = {'name': name}
         for key in QUANTITIES:
             given = [errors[name][key]] if name in errors else own.get(key, {}).get('mean', [])
-            row[key] = [float(f'{x:.4g}') for x in given if x is not None]
+            row[key] = [record.four(error) for error in given if error is not None]
         for what in ('load', 'particles'):
             found = timed[name, what]
             # CPU time of whole rollouts: on a busy machine it says more.
             sample = found.processor if len(found.processor) else found.clock
-            row[f'{what}_ms'] = float(f'{np.median(sample):.4g}')
+            row[f'{what}_ms'] = record.four(np.median(sample))
         rows.append(row)
     return rows
 

@@ -32,8 +32,14 @@ CASES = {'excavation': 'lift_0001', 'wheel': 'load_0001'}
 SOIL, FORCE, DRAWBAR = 'soil error, mm', 'force error, N', 'along the way (drawbar), N'
 STEP, PARTICLES, COUNT = 'step and force, ms', 'and all particles, ms', 'particles'
 COLUMNS = 'method', SOIL, DRAWBAR, FORCE, STEP, PARTICLES, COUNT
-# Frames after which a network is asked for all particles, too; how many a soil field is timed in.
-EVERY = 20
+EVERY = 20  # frames in which a soil field is timed
+LEGEND = f"""
+soil error: root mean square over the solver's own particles. Forces: root mean square
+per component, and its share of the true force; persistence: soil and force stay.
+Times: medians of steps from Python, in C where a compiler is at hand; of the
+soil field in the {EVERY} frames of the largest forces; of the solver CPU time.
+Particles: of the soil field those about the tool, of the network the solver's own.
+"""
 
 
 def test_run(name: str, case: str) -> int:
@@ -46,16 +52,8 @@ def test_run(name: str, case: str) -> int:
 
 
 def evaluate(name: str, number: int, out: str) -> tuple[list[dict], list[str]]:
-    """Rolls out the shipped models on a run of the solver, and draws them.
-
-    Args:
-        name: scene.
-        number: of the test run.
-        out: folder for rollouts and pictures.
-
-    Returns:
-        One dict per row of the table, and the pictures.
-    """
+    """Rolls out the shipped models on a test run of a scene, and draws them into a folder; returns
+    one dict per row of the table, and the pictures."""
     import learning_to_simulate as lts
     from learning_to_simulate import registry
     from learning_to_simulate.soil_field.evaluation import SoilEvaluator
@@ -93,17 +91,10 @@ def evaluate(name: str, number: int, out: str) -> tuple[list[dict], list[str]]:
 
 
 def field_steps(model, rollout) -> tuple[list[float], list[float], int]:
-    """Times of a soil field that is stepped from Python along a rollout: of the frames of the
-    largest forces, as a tool in the air moves no particles.
-
-    Args:
-      model: `api.TerrainModel`.
-      rollout: `soil_field.rollout.TerrainRollout` of it.
-
-    Returns:
-      seconds of steps with their force, and of steps with their force and all particles, which
-      are asked for in every frame; the number of particles.
-    """
+    """Times of an `api.TerrainModel` that is stepped from Python along a `TerrainRollout` of it, in
+    the frames of the largest forces, as a tool in the air moves no particles: seconds of steps with
+    their force, and of steps with their force and all particles, which are asked for in every
+    frame; the number of particles."""
     loaded = np.argsort(np.linalg.norm(rollout.force[1:], axis=1))[-EVERY:]
     times: list[list[float]] = []
     for has_particles in (False, True):
@@ -129,17 +120,12 @@ def table(name: str, case: str, rows: list[dict]) -> str:
 
 
 def draw(name: str, field, network, out: str) -> list[str]:
-    """Draws both rollouts of a run; returns the files.
+    """Draws a `TerrainRollout` and the `SoilRollout` of a network of the same run into a folder;
+    returns the files.
 
     `terrain` shows the soil field on its terrain: sections, maps and forces beside the solver's.
     `particles` shows it and the graph network beside the solver's own particles. The films of the
     README, `docs/lift.gif` and `docs/wheel.gif`, are made this way.
-
-    Args:
-        name: scene.
-        field: `soil_field.rollout.TerrainRollout`.
-        network: `paths.SoilRollout` of the same run.
-        out: folder.
     """
     from learning_to_simulate import metrics, render_rollout
     from learning_to_simulate.rendering import rollout_frames
@@ -181,11 +167,7 @@ def define_flags() -> None:
 
 
 def main(values) -> None:
-    """Runs the command.
-
-    Raises:
-        ValueError: no such scenes, or other runs than the data of record have.
-    """
+    """ValueError: no such scenes, or other runs than the data of record have."""
     started = time.perf_counter()
     out = os.path.abspath(values.output_path)
     if unknown := sorted(set(values.scenes) - set(scenes.SCENES)):
@@ -199,18 +181,13 @@ def main(values) -> None:
     pictures: list[str] = []
     for name, case, number in zip(values.scenes, cases, numbers):
         rows, drawn = evaluate(name, number, os.path.join(out, name))
-        results[name], pictures = {'case': case, 'rows': rows}, pictures + drawn
+        results[name] = {'case': case, 'rows': rows}
+        pictures += drawn
     text = '\n\n'.join(table(name, r['case'], r['rows']) for name, r in results.items())
     files.write_text(os.path.join(out, 'table.txt'), text + '\n')
     files.write_json(os.path.join(out, 'table.json'), results)
-    print('\n' + text + '\n')
-    print("soil error: root mean square over the solver's own particles. Forces: root mean square")
-    print('per component, and its share of the true force; persistence: soil and force stay.')
-    print('Times: medians of steps from Python, in C where a compiler is at hand; of the')
-    print(f'soil field in the {EVERY} frames of the largest forces; of the solver CPU time.')
-    print("Particles: of the soil field those about the tool, of the network the solver's own.\n")
-    for path in pictures:
-        print(os.path.relpath(path))
+    print(f'\n{text}\n{LEGEND}')
+    print(*map(os.path.relpath, pictures), sep='\n')
     print(f'everything is in {os.path.relpath(out)}; {time.perf_counter() - started:.0f} s')
 
 

@@ -23,19 +23,12 @@ from reports.record import ROOT
 
 
 class Recipe(NamedTuple):
-    """How a model is trained.
+    """How a model is trained."""
 
-    Attributes:
-      data: names of its datasets.
-      preset: of its settings.
-      settings: that differ from those of the preset.
-      kinds: of runs that it knows; () for all.
-    """
-
-    data: tuple[str, ...]
+    data: tuple[str, ...]  # names of its datasets
     preset: str
-    settings: dict = {}
-    kinds: tuple[str, ...] = ()
+    settings: dict = {}  # that differ from those of the preset
+    kinds: tuple[str, ...] = ()  # of runs that it knows; () for all
 
 
 _PUBLISHED = {'modes': 8, 'num_steps': 10_000}
@@ -56,8 +49,8 @@ FILES = 'config.json', 'weights.npz', 'start.npz', 'subspace.npz', 'metrics.json
 
 
 def train(job: tuple[str, str]) -> str:
-    """Trains one model, or finishes its training, and says where it is; `job`:
-    its name, folder for the work."""
+    """Trains a model, or finishes its training, and says where it is; `job`: its name, folder for
+    the work."""
     import learning_to_simulate as lts  # TensorFlow, which help does not wait for
     from pca_tools import subset
 
@@ -87,11 +80,7 @@ def define_flags() -> None:
 
 
 def main(values) -> None:
-    """Runs the command.
-
-    Raises:
-        ValueError: a model that does not ship.
-    """
+    """ValueError: a model that does not ship."""
     if unknown := set(values.models) - SHIPPED.keys():
         raise ValueError(f'no models {sorted(unknown)}; there are {", ".join(SHIPPED)}')
     jobs = [(name, os.path.abspath(values.work_path)) for name in values.models]

@@ -12,17 +12,15 @@ a change:
 import argparse
 import glob
 import hashlib
-import json
 import os
 import sys
 
 import numpy as np
-import tensorflow as tf
 
-from learning_to_simulate import presets, reading_utils, registry
+from learning_to_simulate import command, presets, reading_utils, registry
 from learning_to_simulate.subspace import method
 from learning_to_simulate.subspace.trainer import Trainer
-from pca_tools import dataset
+from pca_tools import dataset, files
 
 
 def _digest(*arrays):
@@ -64,23 +62,17 @@ def main():
     parser.add_argument('--compare', help='JSON file of before; a difference ends with exit code 1')
     parser.add_argument('--no_training', action='store_true', help='rollouts only')
     args = parser.parse_args()
-    tf.config.threading.set_intra_op_parallelism_threads(1)
-    tf.config.threading.set_inter_op_parallelism_threads(1)
+    command.import_tensorflow(1)
     found = {path: of_rollouts(path) for path in sorted(glob.glob('models/*/*'))}
     if not args.no_training:
-        for path in sorted(glob.glob('datasets/*/train.tfrecord')):
-            data_path = os.path.dirname(path)
-            found[f'training on {data_path}'] = of_training(data_path)
-    before = {}
-    if args.compare:
-        with open(args.compare, encoding='utf-8') as file:
-            before = json.load(file)
+        for path in map(os.path.dirname, sorted(glob.glob('datasets/*/train.tfrecord'))):
+            found[f'training on {path}'] = of_training(path)
+    before = files.read_json(args.compare) if args.compare else {}
     for name, value in found.items():
         word = '' if name not in before else 'same' if before[name] == value else 'CHANGED'
         print(f'{name:36s} {value[:16]} {word}')
     if args.write:
-        with open(args.write, 'w', encoding='utf-8') as file:
-            json.dump(found, file, indent=1)
+        files.write_json(args.write, found)
     if any(before.get(name, value) != value for name, value in found.items()):
         sys.exit('error: bits have changed')
 

@@ -35,12 +35,10 @@ def masks_of(velocities, keep: int, seed: int, nri_rows=None) -> dict:
     """The mode block of every variant that is a list: variant -> mask, bool [r, r]; scores, float
     [r, r] in [0, 1], what it was chosen by or the mask itself; method, of `edge_lists.METHODS`.
 
-    Args:
-      velocities: float [S, T, r, D] of the modes on the training runs.
-      keep: number of edges of the lists that have a number.
-      seed: of the simulator; NRI's list is that of its own training from the same seed.
-      nri_rows: `seeds` of the JSON of `nri_stability`, or None; ValueError if its nodes are not the
-        modes, or it has no training from that seed.
+    Of velocities [S, T, r, D] of the modes on the training runs; lists that have a number of edges
+    keep so many. NRI's list is of its training from the same seed, of `nri_rows` (`seeds` of the
+    JSON of `nri_stability`, or None); ValueError if its nodes are not the modes, or it has none
+    from that seed.
     """
     r = velocities.shape[2]
     nobody, own = np.zeros((r, r), bool), np.eye(r, dtype=bool)

@@ -2,8 +2,6 @@
 
 Examples:
   python -m reports nri_proof --system=springs --n_objects=5 --work_path=/tmp/nri_proof
-  python -m reports nri_proof --system=charged --n_objects=5 --work_path=/tmp/nri_proof
-  python -m reports nri_proof --system=springs --n_objects=10 --work_path=/tmp/nri_proof
   python -m reports nri_proof --system=springs --n_objects=5 --work_path=/tmp/nri_test \\
       --model_path=MODEL
 

@@ -49,15 +49,9 @@ def folders_of(given: list[str]) -> dict[str, list[str]]:
 def judge(
     data_path: str, methods: dict[str, list[str]], work_path: str, num_processes: int = 1
 ) -> dict:
-    """The document of a scene; raises as `make_all`.
-
-    Args:
-      data_path: dataset folders, separated by commas: all methods know the first; the others are
-        for soil fields.
-      methods: of `folders_of`.
-      work_path: folder of rollouts and of the fitted ridge; a second call finds them there.
-      num_processes: models that are rolled out at a time.
-    """
+    """The document of a scene, of dataset folders separated by commas (all methods know the first;
+    the others are for soil fields) and methods of `folders_of`; raises as `make_all`. Rollouts and
+    the fitted ridge stay in the work folder, where a second call finds them."""
     from learning_to_simulate.soil_field import evaluation
     from learning_to_simulate.soil_field import runs as runs_lib
     from reports.protocol import resistive_force
@@ -90,7 +84,7 @@ def judge(
     factors = 1.0, resistive_force.gain(runs_lib.read(folders[0], 'train'))
     theory = zip(*(resistive_force.errors(run, factors) for _, run in runs), strict=True)
     for name, factor, rows in zip(RESISTIVE, factors, theory, strict=True):
-        about = {'factor': float(f'{factor:.4g}'), 'errors': _columns(list(rows))}
+        about = {'factor': record.four(factor), 'errors': _columns(list(rows))}
         found.append({'name': name, 'seeds': [about]})
     found.append({'name': PERSISTENCE, 'seeds': [{'errors': _columns(still)}]})
     return {
@@ -184,16 +178,15 @@ def _columns(rows: list[dict]) -> dict[str, list]:
     """Quantity -> errors of all runs, to four digits; None where there is no number."""
     found: dict[str, list] = {}
     for key in QUANTITIES:
-        values = [row.get(key) for row in rows]
-        known = [None if v is None or not np.isfinite(v) else float(f'{v:.4g}') for v in values]
-        if any(v is not None for v in known):
-            found[key] = known
+        values = [record.four(row.get(key)) for row in rows]
+        if any(value is not None for value in values):
+            found[key] = values
     if refused := [i for i, row in enumerate(rows) if row.get('status') == 'non_finite']:
         found['refused'] = refused
     return found
 
 
-def separation(rollouts) -> dict[str, float]:
+def separation(rollouts) -> dict[str, float | None]:
     """Whether the status of a soil field tells good frames from bad ones, of rollouts: the
     predicted and the true force [T, 3], and which frames [T] are flagged.
 
@@ -213,7 +206,7 @@ def separation(rollouts) -> dict[str, float]:
     for name, (error, force, _) in zip(('error_inside', 'error_flagged'), squares, strict=True):
         if force:
             found[name] = np.sqrt(error / force)
-    return {name: float(f'{value:.4g}') for name, value in found.items()}
+    return {name: record.four(value) for name, value in found.items()}
 
 
 def _saved(folder):
@@ -263,8 +256,7 @@ def figures(seeds, key: str, places: list[int]) -> dict:
         if not values:
             return {}
         for name, figure in (('mean', np.mean), ('median', np.median)):
-            value = float(figure(values))
-            found[name].append(float(f'{value:.4g}') if np.isfinite(value) else None)
+            found[name].append(record.four(figure(values)))
         found['runs'] = len(values)
     return found
 
@@ -275,8 +267,8 @@ def truth_errors(tool: str) -> dict:
     `force_relative_l2` of means over five frames; against the limit of fine cells
     `drawbar_relative_l2`, of the mean force along the way (upwards where that matters). Each a list
     with a number a case."""
-    names = 'cases', 'surface_mm', 'force_relative_l2', 'drawbar_relative_l2'
-    found: dict = {name: [] for name in names}
+    names = 'surface_mm', 'force_relative_l2', 'drawbar_relative_l2'
+    found: dict = {name: [] for name in ('cases', *names)}
     for name, runs in files.read_json(LADDER)['cases'].items():
         is_case = name in ladder.CASES and name.startswith(_LADDERS[tool])
         if not is_case or 'cubic' not in runs:
@@ -285,7 +277,8 @@ def truth_errors(tool: str) -> dict:
         cells, forces = ladder.over_cells(name, runs)
         base = np.mean(runs['base']['force'], axis=0)[ladder.CASES[name][2]]
         limit = ladder.limit(cells, forces)[0]
-        values = name, compared['surface_mm'], compared['force_5_frames'], abs(base / limit - 1.0)
-        for column, value in zip(found.values(), values, strict=True):
-            column.append(value if isinstance(value, str) else float(f'{value:.4g}'))
+        found['cases'].append(name)
+        values = compared['surface_mm'], compared['force_5_frames'], abs(base / limit - 1.0)
+        for key, value in zip(names, values, strict=True):
+            found[key].append(record.four(value))
     return found

@@ -33,6 +33,11 @@ COLUMNS = {
 }  # fmt: skip
 
 
+def average(key: str, errors) -> float:
+    """Of the errors of several runs, None of a run without one: their mean, or median."""
+    return float((np.median if key in MEDIANS else np.mean)(np.array(errors, np.float64)))
+
+
 def methods(path: str) -> str:
     """All methods over all runs: mean errors (medians of parts of a load, and where one
     was refused); below them the truth's own errors."""
@@ -56,8 +61,7 @@ def methods(path: str) -> str:
         rows.append([method['name'] + (f' ({about})' if about else ''), *cells])
     own, cells = document['truth'], _own(document, columns)
     # Of the whole bed; near the tool it is larger.
-    whole = markdown.cell(float(np.mean(own['surface_mm'])))
-    cells[columns.index('near_mm')] = f'over {whole}'
+    cells[columns.index('near_mm')] = f'over {markdown.mean(own["surface_mm"])}'
     rows.append([f"*truth's own error* ({len(own['cases'])} cases)", *cells])
     return markdown.table(['method', *(TITLES[key] for key in columns)], rows)
 
@@ -65,10 +69,7 @@ def methods(path: str) -> str:
 def _own(document, columns):
     """The truth's own errors, as far as the ladder of grids knows them."""
     own = document['truth']
-    return [
-        markdown.cell(float((np.median if k in MEDIANS else np.mean)(own[k])))
-        if k in own else '' for k in columns
-    ]  # fmt: skip
+    return [markdown.cell(average(key, own[key])) if key in own else '' for key in columns]
 
 
 def _cell(figure, key, ranges):

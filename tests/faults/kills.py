@@ -7,10 +7,9 @@ kill the task is given again, without one, and must end with the bytes of an und
 runs are forks of this process, which has imported what they need; nothing here may run a TensorFlow
 operation at import.
 
-What is killed is small and as users call it, each in a folder of its own that `prepare` has made.
-What costs seconds and writes nothing is left out: gradients of the training, the comparison of an
-export with TensorFlow, the optimisation by the C compiler. Solver runs are short ones on coarse
-cells.
+A task writes into a folder of its own; given again after a kill it goes on, or says that it is
+done. What costs seconds and writes nothing is left out: gradients of the
+training, the comparison of an export with TensorFlow, the optimisation by the C compiler.
 """
 
 import contextlib
@@ -29,7 +28,6 @@ import time
 import traceback
 import types
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from unittest import mock
 
 import numpy as np
@@ -48,31 +46,7 @@ from tests.faults import small
 SOLVER_FRAMES, SOLVER_CASES = 12, (22, 100, 186)
 
 
-def fingerprint(path: str) -> dict[str, str]:
-    """Name -> sha256 of the files that a result is made of; arrays by value, logs not."""
-    found = {}
-    for name in sorted(os.listdir(path)):
-        if not name.startswith(('.', 'events.')) and not name.endswith('.damaged'):
-            found[name] = files.sha256_of_file(os.path.join(path, name))
-    return found
-
-
-@dataclass(frozen=True)
-class Task:
-    """Something that writes, and may be killed in the middle.
-
-    Attributes:
-        run: does it in the folder; called again after a kill it goes on, or says that it is done.
-        result: name below the folder of what it writes.
-        fingerprint: path of the result -> name -> digest of what must be the same.
-    """
-
-    run: Callable[[str], None]
-    result: str
-    fingerprint: Callable[[str], dict[str, str]] = fingerprint
-
-
-def prepare(folder: str) -> None:
+def _prepare(folder):
     """The small world, whose dataset the tasks make anew."""
     small.write(folder)
     os.rename(f'{folder}/data', f'{folder}/trained_on')
@@ -135,33 +109,45 @@ def _solve(folder, frames=SOLVER_FRAMES, cases=SOLVER_CASES):
         batch.generate(BLADE, cases, f'{folder}/solver', simulation.Settings())
 
 
-def warm(folder: str) -> None:
-    """Loads the compiled solver into this process, for all forks of it: two thirds of a short
-    run."""
-    with contextlib.redirect_stdout(io.StringIO()):
-        _solve(folder, 2, SOLVER_CASES[:1])
+def _broken(folder):
+    """Results written file by file, of which a kill leaves a mixture: they must be lost."""
+    os.makedirs(f'{folder}/results', exist_ok=True)
+    for name in 'ab':
+        path = f'{folder}/results/{name}'
+        if not os.path.exists(path):  # a half one is taken for whole
+            with open(path, 'w') as file:
+                file.write('x')
+                file.flush()
+                open(f'{folder}/results/c', 'w').close()
+                file.write('y' * 100)
 
 
-def _solved(path):
-    """The contents of the runs; files also hold the time that they took."""
-    manifest = raw_run.read_manifest(path) or {'runs': []}
-    listed = {entry['file']: entry['content'] for entry in manifest['runs']}
-    there = {
-        name: raw_run.content_digest(raw_run.read_run(os.path.join(path, name)))
-        for name in os.listdir(path)
-        if name.startswith('run_')
+def fingerprint(path: str) -> dict[str, str]:
+    """Name -> digest of what must be the same in a result: of a run its contents, as its file also
+    holds the time that it took; logs not."""
+    names = sorted(n for n in os.listdir(path) if not n.startswith(('.', 'events.')))
+    whole = {name: os.path.join(path, name) for name in names if not name.endswith('.damaged')}
+    if os.path.basename(path) != 'solver':
+        return {name: files.sha256_of_file(file) for name, file in whole.items()}
+    listed = (raw_run.read_manifest(path) or {'runs': []})['runs']
+    runs = {n: raw_run.read_run(file) for n, file in whole.items() if n.startswith('run_')}
+    return {f'manifest {entry["file"]}': entry['content'] for entry in listed} | {
+        name: raw_run.content_digest(run) for name, run in runs.items()
     }
-    return {f'manifest {name}': digest for name, digest in listed.items()} | there
 
 
-TASKS = {
-    'training': Task(_train, 'training'),
-    'conversion': Task(_convert, 'data'),
-    'conversion over an older dataset': Task(_convert_again, 'again'),
-    'export of an FMU': Task(_export, 'exported'),
-    'results over older ones': Task(_save_results, 'results'),
-    'solver runs': Task(_solve, 'solver', _solved),
+# Name -> what writes into a folder, and the name of its result there.
+TASKS: dict[str, tuple[Callable[[str], None], str]] = {
+    'training': (_train, 'training'),
+    'conversion': (_convert, 'data'),
+    'conversion over an older dataset': (_convert_again, 'again'),
+    'export of an FMU': (_export, 'exported'),
+    'results over older ones': (_save_results, 'results'),
+    'solver runs': (_solve, 'solver'),
+    'broken': (_broken, 'results'),
 }
+# They take longest, and write as others do.
+ONLY_IN_LONG_RUNS = 'conversion', 'export of an FMU'
 
 _EVENTS = ('open', 'os.rename', 'os.mkdir', 'os.remove', 'os.rmdir', 'shutil.rmtree', 'os.truncate')
 _WRITING = os.O_WRONLY | os.O_RDWR | os.O_CREAT
@@ -234,83 +220,77 @@ def _run(action, folder, kill_at=None, points_file=None, kill_after=None) -> int
 class Plan:
     """One task with its undisturbed run: named points, duration and result."""
 
-    def __init__(self, name: str, task, base: str, work: str):
-        self._task, self._base, self._work = task, base, work
-        folder, points_file = self._fresh(), os.path.join(work, 'points.json')
+    def __init__(self, name: str, base: str, work: str):
+        self._task, result = TASKS[name]
+        self._base, self._folder = base, os.path.join(work, 'folder')
+        self._result = os.path.join(self._folder, result)
+        self._make_folder()
+        points_file = os.path.join(work, 'points.json')
         start = time.monotonic()
-        if _run(task.run, folder, points_file=points_file):
+        if _run(self._task, self._folder, points_file=points_file):
             raise OSError(f'{name} fails without a kill')
         self._seconds = time.monotonic() - start
         self.points = files.read_json(points_file)
-        self._whole = self._fingerprint(folder)
+        self._whole = fingerprint(self._result)
 
-    def _fingerprint(self, folder):
-        return self._task.fingerprint(os.path.join(folder, self._task.result))
-
-    def _fresh(self):
-        folder = os.path.join(self._work, 'folder')
-        shutil.rmtree(folder, ignore_errors=True)
-        shutil.copytree(self._base, folder)
-        return folder
+    def _make_folder(self):
+        shutil.rmtree(self._folder, ignore_errors=True)
+        shutil.copytree(self._base, self._folder)
 
     def kill_at(self, point: int) -> str:
         """Kills at a named point; returns what was lost, '' for nothing."""
-        folder = self._fresh()
-        if _run(self._task.run, folder, point) != -signal.SIGKILL:
+        self._make_folder()
+        if _run(self._task, self._folder, point) != -signal.SIGKILL:
             return 'the point was not reached'
-        return self._lost(folder)
+        return self._lost()
 
     def kill_at_random(self, rng: random.Random) -> str:
         """Kills at a random moment; one after the end is drawn again. Returns as `kill_at`."""
         while True:
-            folder, after = self._fresh(), rng.uniform(0.0, self._seconds)
-            start = time.monotonic()
-            if _run(self._task.run, folder, kill_after=after) == -signal.SIGKILL:
-                return self._lost(folder)
+            self._make_folder()
+            start, after = time.monotonic(), rng.uniform(0.0, self._seconds)
+            if _run(self._task, self._folder, kill_after=after) == -signal.SIGKILL:
+                return self._lost()
             self._seconds = time.monotonic() - start  # the first run may have compiled something
 
-    def _lost(self, folder):
-        if code := _run(self._task.run, folder):
+    def _lost(self):
+        if code := _run(self._task, self._folder):
             return f'the same command fails afterwards ({code})'
-        found = self._fingerprint(folder)
+        found = fingerprint(self._result)
         differing = sorted(n for n in {*found, *self._whole} if found.get(n) != self._whole.get(n))
         return f'other files: {", ".join(differing)}' if differing else ''
 
 
-def run(
-    moments: dict[str, int], seed: int, points: int | None = None
-) -> Iterator[tuple[str, int, str, str]]:
-    """Kills tasks in turn, at their named points and at random moments.
+def run(moments: int, points: int) -> Iterator[tuple[str, int, str, str]]:
+    """Kills each task at so many random moments and named points.
 
-    Args:
-        moments: name of `TASKS` -> kills at random moments.
-        seed: of points and moments.
-        points: named points of each task; None for every one.
-
-    Yields:
-        after each kill: task, how many named points it has, the one or '' for a random moment, what
-        was lost or ''.
-
-    Raises:
-        OSError: a task fails without a kill.
+    Yields after each kill: task, how many named points it has, the one or '' for a random moment,
+    what was lost or ''. OSError: a task fails without a kill.
     """
     with tempfile.TemporaryDirectory() as folder:
         folder = os.path.realpath(folder)
         base = os.path.join(folder, 'base')
         os.mkdir(base)
-        if _run(prepare, base):
+        if _run(_prepare, base):
             raise OSError('the data of the tasks could not be made')
-        if 'solver runs' in moments:
-            warm(os.path.join(folder, 'warm'))
+        with contextlib.redirect_stdout(io.StringIO()):
+            # Loads the compiled solver for all forks of this process: two thirds of a short run.
+            _solve(os.path.join(folder, 'warm'), 2, SOLVER_CASES[:1])
         # What is there now is touched by no collection in a fork: no page of it is copied for one.
         gc.collect()
         gc.freeze()
-        for i, (name, count) in enumerate(moments.items()):
-            work, rng = os.path.join(folder, str(i)), random.Random(f'{name}:{seed}')
+        for name in TASKS:
+            if moments < 2 and name in ONLY_IN_LONG_RUNS:
+                continue
+            work, rng = os.path.join(folder, name.replace(' ', '_')), random.Random(f'{name}:0')
             os.mkdir(work)
-            plan = Plan(name, TASKS[name], base, work)
+            plan = Plan(name, base, work)
             n = len(plan.points)
-            for point in rng.sample(range(n), n if points is None else min(points, n)):
+            for point in rng.sample(range(n), min(points, n)):
                 yield name, n, plan.points[point], plan.kill_at(point)
-            for _ in range(count):
+            for _ in range(moments):
                 yield name, n, '', plan.kill_at_random(rng)
+
+
+if __name__ == '__main__':
+    files.write_json(sys.argv[1], list(run(*map(int, sys.argv[2:]))))

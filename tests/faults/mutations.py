@@ -57,13 +57,7 @@ def damage(data: bytes, rng: random.Random) -> bytes:
 
 
 def forge(name: str, data: bytes, rng: random.Random) -> bytes:
-    """Changes the content of a file by its kind, with right checksums.
-
-    Args:
-        name: file name; its ending says the kind.
-        data: valid content.
-        rng: of the change.
-    """
+    """Changes the valid content of a file by its kind, as its ending says, with right checksums."""
     ending = name.rpartition('.')[2]
     kinds = {'json': _forge_json, 'npz': _forge_npz, 'npy': _forge_npy}
     return (kinds | {'tfrecord': _forge_records}).get(ending, damage)(data, rng)
@@ -72,8 +66,7 @@ def forge(name: str, data: bytes, rng: random.Random) -> bytes:
 def _forge_json(data, rng):
     root = [json.loads(data)]
     for _ in range(rng.choice((1, 1, 1, 2, 4))):
-        places = [(root, 0)]
-        _collect(root[0], places)
+        places = list(_places(root))
         parent, key = rng.choice(places)
         action = rng.randrange(6)
         if action == 0 and parent is not root:
@@ -96,12 +89,12 @@ def _forge_json(data, rng):
     return text.encode('utf-8', 'surrogatepass')
 
 
-def _collect(value, places):
-    """Appends (container, key) of everything inside a JSON value."""
+def _places(value):
+    """(container, key) of everything inside a JSON value."""
     if isinstance(value, (dict, list)):
         for key in list(value) if isinstance(value, dict) else range(len(value)):
-            places.append((value, key))
-            _collect(value[key], places)
+            yield value, key
+            yield from _places(value[key])
 
 
 def _forge_npz(data, rng):
@@ -195,6 +188,5 @@ def _forge_records(data, rng):
 
 
 def _framed(payload):
-    header = struct.pack('<Q', len(payload))
-    crc = struct.pack('<I', masked_crc32c(header))
-    return header + crc + payload + struct.pack('<I', masked_crc32c(payload))
+    parts = struct.pack('<Q', len(payload)), payload
+    return b''.join(part + struct.pack('<I', masked_crc32c(part)) for part in parts)

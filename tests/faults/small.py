@@ -47,18 +47,18 @@ def cheap_step(self: trainer.Trainer, step: int) -> dict:
     return {'loss': tf.constant(1.0)}
 
 
-class _CheapTrainer(trainer.Trainer):
+class CheapTrainer(trainer.Trainer):
     step = cheap_step
 
 
-def training(data: str) -> loop.Training:
+def training(data: str, **overrides) -> loop.Training:
     """A training of a tiny model on a dataset."""
     metadata = dataset.read_metadata(data)
-    config = presets.make_config('pcg', **TINY)
+    config = presets.make_config('pcg', **TINY | overrides)
     groups = reading_utils.read_groups(data, 'train', metadata, **config.nodes)
     model = method.make_model(data, metadata, groups, config)
     return loop.Training(
-        model=model, trainer=_CheapTrainer(model, groups), evaluator=None, valid=[],
+        model=model, trainer=CheapTrainer(model, groups), evaluator=None, valid=[],
         n_rigid=groups[0].n_rigid, data={'path': data, 'sha256': {}}, title='kills',
         write_files=lambda path: starts.write(path, data, config.nodes),
     )  # fmt: skip

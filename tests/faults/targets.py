@@ -78,25 +78,16 @@ def is_finite(value: Any) -> bool:
 
 @dataclasses.dataclass(frozen=True)
 class Target:
-    """A reader under test.
-
-    Attributes:
-      name: for the table.
-      promise: see `Promise`.
-      write: makes the valid files in a folder.
-      changed: names of the files that are damaged, in turn.
-      read: reads the folder.
-      possible: whether a value could be that of some valid file, judged apart from the reader.
-      parts: splits a value into parts; of a CHECKSUM file without a list of its parts, damage may
-        lose or repeat whole ones.
-    """
+    """A reader under test."""
 
     name: str
     promise: Promise
-    write: Callable[[str], None]
-    changed: tuple[str, ...]
-    read: Callable[[str], Any]
+    write: Callable[[str], None]  # makes the valid files in a folder
+    changed: tuple[str, ...]  # names of the files that are damaged, in turn
+    read: Callable[[str], Any]  # reads the folder
+    # Whether a value could be that of some valid file, judged apart from the reader.
     possible: Callable[[Any], bool] = is_finite
+    # Of a CHECKSUM file without a list of its parts, damage may lose or repeat whole ones.
     parts: Callable[[Any], list] = lambda value: [value]
 
 
@@ -177,11 +168,7 @@ def _possible_rollout(frames):
 
 
 def _possible_raw(runs):
-    return all(
-        run.positions.shape[2] == 3
-        and is_finite([run.positions, run.rigid_positions, run.context, run.force])
-        for run in runs
-    )
+    return is_finite(runs) and all(run.positions.shape[2] == 3 for run in runs)
 
 
 def _write_pickle(folder):
@@ -191,9 +178,9 @@ def _write_pickle(folder):
 
 def _write_kipf(folder):
     rng = _rng()
-    for name, shape in (('loc', (2, 5, 2, 3)), ('vel', (2, 5, 2, 3)), ('edges', (2, 3, 3))):
-        values = rng.random(shape) if name != 'edges' else rng.integers(0, 2, shape)
-        np.save(f'{folder}/{name}_train_springs3.npy', values)
+    for name in ('loc', 'vel'):
+        np.save(f'{folder}/{name}_train_springs3.npy', rng.random((2, 5, 2, 3)))
+    np.save(f'{folder}/edges_train_springs3.npy', rng.integers(0, 2, (2, 3, 3)))
 
 
 def _possible_kipf(data):
@@ -226,8 +213,7 @@ def _full_space_data() -> full_space.FullSpaceData:
 
 
 def _import(name: str, changed: tuple[str, ...]) -> Target:
-    """The reader of a foreign format. Shapes must fit each other; values are the business of
-    `write_raw`."""
+    """The reader of a foreign format: shapes must fit; values are the business of `write_raw`."""
 
     def read(folder):
         runs = formats.FORMATS[name].read(folder, 0.1).runs()

@@ -1,10 +1,5 @@
-"""Data folders: bombs, hostile arrays, full disks, a reader beside a writer.
+"""Data folders: bombs, hostile arrays, full disks, a reader beside a writer."""
 
-Truncated, flipped, foreign and oversized records, metadata that does not fit, git-lfs pointers and
-hostile pickles have their tests beside the readers in `tests/pca_tools`; README.md lists them.
-"""
-
-import io
 import re
 import threading
 import zipfile
@@ -30,13 +25,6 @@ class Evil:
         return open, (MARK, 'w')
 
 
-def npy_header(shape, kind='|u1'):
-    stream = io.BytesIO()
-    values = {'descr': kind, 'fortran_order': False, 'shape': shape}
-    np.lib.format.write_array_header_1_0(stream, values)
-    return stream.getvalue()
-
-
 def test_bombs_are_refused_by_what_their_directory_says(tmp_path):
     """Five members that claim 300 MB each: none of them is over the limit, all together are."""
     path = tmp_path / 'bomb.npz'
@@ -49,15 +37,9 @@ def test_bombs_are_refused_by_what_their_directory_says(tmp_path):
         files.read_npz(str(path))
 
 
-def load_mask(path):
-    return edge_lists.read_mask(str(path))
-
-
-def load_kipf(path):
-    return nri_data._read_array(str(path), 4)
-
-
-@pytest.mark.parametrize('read', [load_mask, load_kipf, files.read_npy])
+@pytest.mark.parametrize(
+    'read', [edge_lists.read_mask, lambda path: nri_data._read_array(path, 4), files.read_npy]
+)
 def test_hostile_npy_files(tmp_path, read, monkeypatch):
     monkeypatch.chdir(tmp_path)
     path = tmp_path / 'a.npy'
@@ -70,7 +52,10 @@ def test_hostile_npy_files(tmp_path, read, monkeypatch):
     with pytest.raises(ValueError, match='evil.npz.*Python objects'):
         files.read_npz('evil.npz')
     assert not (tmp_path / MARK).exists()
-    path.write_bytes(npy_header((10**6, 10**6)) + bytes(100))
+    with open(path, 'wb') as file:
+        header = {'descr': '|u1', 'fortran_order': False, 'shape': (10**6, 10**6)}
+        np.lib.format.write_array_header_1_0(file, header)
+        file.write(bytes(100))
     with pytest.raises(ValueError, match=r'a.npy.*1000000000000 bytes but it holds 100'):
         read(str(path))
 

@@ -14,6 +14,7 @@ import dataclasses
 import hashlib
 import io
 import os
+import pathlib
 import random
 import resource
 import signal
@@ -28,7 +29,6 @@ from tests.faults import mutations, targets
 from tests.faults.targets import Promise, Target
 
 COUNT = int(os.environ.get('FUZZ_COUNT', '100'))
-TARGETS = {target.name: target for target in targets.TARGETS}
 # Limits of one input, far above the milliseconds and kilobytes of the valid ones. Seconds of CPU:
 # a busy machine is no fault of a reader.
 SECONDS, MEMORY = 10, 2**30
@@ -41,52 +41,40 @@ class Hang(BaseException):
 class Bench:
     """One target in its folder, with the valid content of its files in memory."""
 
-    def __init__(self, target: Target, folder: str):
+    def __init__(self, target: Target, folder: pathlib.Path):
         self.target, self._folder = target, folder
-        os.makedirs(folder)
+        folder.mkdir()
         with contextlib.redirect_stdout(io.StringIO()):
-            target.write(folder)
-            self._valid = {}
-            for name in os.listdir(folder):
-                with open(os.path.join(folder, name), 'rb') as file:
-                    self._valid[name] = file.read()
-            value = target.read(folder)
-            self._original = fingerprint(value)
-            self._parts = {fingerprint(part) for part in target.parts(value)}
-            self._restore()
-
-    def _write(self, name, data):
-        with open(os.path.join(self._folder, name), 'wb') as file:
-            file.write(data)
+            target.write(str(folder))
+            self._valid = {path.name: path.read_bytes() for path in folder.iterdir()}
+            value = target.read(str(folder))
+        self._original = fingerprint(value)
+        self._parts = set(map(fingerprint, target.parts(value)))
 
     def _restore(self):
-        """Puts back what a reader removed or made; changed files are put back by `run`."""
-        there = set(os.listdir(self._folder))
-        for name in there - self._valid.keys():
-            os.remove(os.path.join(self._folder, name))
-        for name in self._valid.keys() - there:
-            self._write(name, self._valid[name])
-
-    def make(self, seed: int, number: int) -> tuple[str, bytes, bool]:
-        """File name, content and whether it is a forgery of input `number`."""
-        rng = random.Random(f'{self.target.name}:{seed}:{number}')
-        name = rng.choice(self.target.changed)
-        forged = rng.random() < 0.5
-        data = self._valid[name]
-        data = mutations.forge(name, data, rng) if forged else mutations.damage(data, rng)
-        return name, data, forged
+        """Writes the valid files again, and removes what a reader made."""
+        for path in self._folder.iterdir():
+            if self._valid.get(path.name) != path.read_bytes():
+                path.unlink()
+        for name, data in self._valid.items():
+            if not (self._folder / name).exists():
+                (self._folder / name).write_bytes(data)
 
     def run(self, seed: int, number: int) -> tuple[str, str]:
         """'refused', 'equal', 'possible' or 'failed', and what there is to say about a failure."""
-        name, data, forged = self.make(seed, number)
-        self._write(name, data)
+        self._restore()
+        rng = random.Random(f'{self.target.name}:{seed}:{number}')
+        name = rng.choice(self.target.changed)
+        forged, data = rng.random() < 0.5, self._valid[name]
+        data = mutations.forge(name, data, rng) if forged else mutations.damage(data, rng)
+        (self._folder / name).write_bytes(data)
         signal.setitimer(signal.ITIMER_PROF, SECONDS)
         try:
             with contextlib.redirect_stdout(io.StringIO()):
-                value = self.target.read(self._folder)
+                value = self.target.read(str(self._folder))
             return self._judged(name, value, forged)
         except (ValueError, OSError) as error:
-            named = self._folder in str(error)
+            named = str(self._folder) in str(error)
             return ('refused', '') if named else ('failed', f'no file in the message: {error!r}')
         except Hang:
             return 'failed', f'hangs for {SECONDS} s'
@@ -94,14 +82,12 @@ class Bench:
             return 'failed', traceback.format_exc(limit=-3)
         finally:
             signal.setitimer(signal.ITIMER_PROF, 0)
-            self._write(name, self._valid[name])
-            self._restore()
 
     def _judged(self, name, value, forged):
         target = self.target
         if fingerprint(value) == self._original:
             return 'equal', ''
-        parts = {fingerprint(part) for part in target.parts(value)}
+        parts = set(map(fingerprint, target.parts(value)))
         damaged = target.promise is Promise.CHECKSUM and not forged and not parts <= self._parts
         if target.promise is Promise.SEALED or damaged:
             return 'failed', f'a changed {name} was read as if it were whole'
@@ -153,31 +139,18 @@ def limited() -> Iterator[None]:
 
 def outcomes(target, folder, seed, count):
     """How often each outcome came, and the reasons of the failures by input."""
-    made, counts, failures = Bench(target, str(folder)), collections.Counter(), {}
+    made = Bench(target, folder)
     with limited():
-        for number in range(count):
-            outcome, why = made.run(seed, number)
-            counts[outcome] += 1
-            if outcome == 'failed':
-                failures[number] = why
-    return counts, failures
+        found = [made.run(seed, number) for number in range(count)]
+    counts = collections.Counter(outcome for outcome, _ in found)
+    return counts, {n: why for n, (outcome, why) in enumerate(found) if outcome == 'failed'}
 
 
-@pytest.mark.parametrize('name', TARGETS)
-def test_reader_refuses_or_returns_what_can_be(name, tmp_path):
-    counts, failures = outcomes(TARGETS[name], tmp_path / 'folder', 20, COUNT)
+@pytest.mark.parametrize('target', targets.TARGETS, ids=lambda target: target.name)
+def test_reader_refuses_or_returns_what_can_be(target, tmp_path):
+    counts, failures = outcomes(target, tmp_path / 'folder', 20, COUNT)
     assert not failures
     assert counts['refused'] + counts['possible'] > COUNT / 5  # else no file would have changed
-
-
-def _write(folder):
-    with open(os.path.join(folder, 'a.json'), 'w', encoding='utf-8') as file:
-        file.write('{"a": 1, "b": [1, 2, 3], "c": "text"}')
-
-
-def _read(folder):
-    with open(os.path.join(folder, 'a.json'), 'rb') as file:
-        return file.read()
 
 
 @pytest.mark.parametrize(
@@ -190,18 +163,20 @@ def _read(folder):
     ],
 )
 def test_faulty_readers_are_found(tmp_path, raised, reason):
-    calls = []
+    valid = '{"a": 1, "b": [1, 2, 3], "c": "text"}'
+
+    def write(folder):
+        pathlib.Path(folder, 'a.json').write_text(valid)
 
     def read(folder):
-        calls.append(folder)
-        if len(calls) > 1:  # the valid file must be readable
-            if isinstance(raised, MemoryError):
-                bytes(2**31)
-            elif raised:
-                raise raised
-        return _read(folder)
+        data = pathlib.Path(folder, 'a.json').read_bytes()
+        if data != valid.encode() and isinstance(raised, MemoryError):
+            bytes(2**31)
+        elif data != valid.encode() and raised:
+            raise raised
+        return data
 
-    target = Target('broken', Promise.SEALED, _write, ('a.json',), read)
+    target = Target('broken', Promise.SEALED, write, ('a.json',), read)
     counts, failures = outcomes(target, tmp_path / 'folder', 0, 20)
     assert counts['failed'] >= 15
     assert any(reason in why for why in failures.values())

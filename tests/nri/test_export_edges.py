@@ -71,22 +71,19 @@ def test_edges_are_those_of_the_posterior_in_kipfs_order(data, model_path, monke
     assert kept.threshold is None
 
 
-def test_degenerate_graphs_are_refused_unless_told(data, model_path, monkeypatch):
-    for value, name in ((0.01, 'empty'), (0.99, 'saturated')):
-        with_posterior(monkeypatch, np.full((R, R), value))
-        with pytest.raises(ValueError, match=f'graph is {name}.*--allow_degenerate'):
-            export_edges.find_edges(model_path, data)
-        edges = export_edges.find_edges(model_path, data, allow_degenerate=True)
-        assert edges.degenerate == name
-
-
-def test_foreign_data_and_types_without_meaning_are_refused(data, model_path, tmp_path):
+def test_graphs_without_a_meaning_are_refused(data, model_path, tmp_path, monkeypatch):
     other = synthetic.write_dataset(tmp_path / 'other', n_run=3)
     with pytest.raises(ValueError, match='trained on other data'):
         export_edges.find_edges(model_path, other)
     plain = write_model(str(tmp_path / 'plain'), data, skip_first=False)
     with pytest.raises(ValueError, match='without skip_first'):
         export_edges.find_edges(plain, data)
+    for value, name in ((0.01, 'empty'), (0.99, 'saturated')):
+        with_posterior(monkeypatch, np.full((R, R), value))
+        with pytest.raises(ValueError, match=f'graph is {name}.*--allow_degenerate'):
+            export_edges.find_edges(model_path, data)
+        edges = export_edges.find_edges(model_path, data, allow_degenerate=True)
+        assert edges.degenerate == name
 
 
 def test_command_writes_a_list_that_the_simulator_reads(data, model_path, tmp_path):

@@ -79,12 +79,7 @@ def test_a_collapsed_posterior_is_flagged():
     assert unsure['entropy'] == pytest.approx(1.0) and unsure['status'] == 'COLLAPSED'
 
 
-def test_a_million_draws_are_finite_and_gumbel_at_both_ends_of_the_interval():
-    draws = losses.gumbel_from_uniform(tf.random.stateless_uniform([1_000_000], SEED)).numpy()
-    assert np.isfinite(draws).all()
-    # Mean 0.57722 and variance pi²/6; standard errors 1.3e-3 and 4.4e-3.
-    assert abs(draws.mean() - np.euler_gamma) < 0.006
-    assert abs(draws.var() - np.pi**2 / 6) < 0.02
+def test_draws_are_finite_and_gumbel_at_both_ends_of_the_interval():
     ends = losses.gumbel_from_uniform(tf.constant([0.0, 2.0**-149, 1.0 - 2.0**-24, 1.0])).numpy()
     assert np.isfinite(ends).all() and (np.diff(ends) >= 0).all()
     # -log(-log(u)) of the largest float32 below 1, in float64.

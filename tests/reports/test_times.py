@@ -1,6 +1,5 @@
 """Error against time: which times are taken, and the table and picture from known errors."""
 
-import json
 from types import SimpleNamespace
 
 import numpy as np
@@ -8,8 +7,6 @@ import pytest
 
 from pca_tools import dataset, files
 from reports import times, timing
-from tests.learning_to_simulate import models
-from tests.learning_to_simulate.soil_field import worlds
 from tests.reports.protocol.known import document
 
 
@@ -35,8 +32,8 @@ def test_the_path_is_a_driven_one_on_a_flat_bed(recorded):
 
 
 def test_table_and_picture_join_errors_and_times(recorded, tmp_path, monkeypatch):
-    protocol = tmp_path / 'protocol.json'
-    protocol.write_text(json.dumps(document()))
+    protocol = str(tmp_path / 'protocol.json')
+    files.write_json(protocol, document())
     names = [f'soil field, {count} of 2 members, C' for count in (1, 2)]
     names += ['mlp_driven, TensorFlow']
     jobs = {(name, what): name for name in names for what in ('load', 'particles')}
@@ -50,7 +47,7 @@ def test_table_and_picture_join_errors_and_times(recorded, tmp_path, monkeypatch
         lambda jobs, _: {j: timing.Timing(clock, processor[: 'mlp' in j[0]]) for j in jobs},
     )  # fmt: skip
     values = SimpleNamespace(
-        data_path='data,wide', protocol=str(protocol), soil_field='folder',
+        data_path='data,wide', protocol=protocol, soil_field='folder',
         model=['mlp_driven=folder'], training_s=['soil field=98', 'mlp_driven=6'], budget_ms=[],
         output_path=str(tmp_path / 'times'),
     )  # fmt: skip
@@ -79,18 +76,12 @@ def test_table_and_picture_join_errors_and_times(recorded, tmp_path, monkeypatch
         times.main(values)
 
 
-@pytest.mark.slow
-def test_a_soil_field_is_timed_with_each_number_of_members(tmp_path):
-    import learning_to_simulate as lts
-
-    data = worlds.write_dataset(tmp_path / 'data', range(3))
-    model = str(tmp_path / 'field')
-    with models.eagerly():
-        lts.train(lts.preset('soil_field', members=2, num_steps=6), lts.Dataset(data), model)
+def test_a_soil_field_is_timed_with_each_number_of_members(trained_field, monkeypatch):
+    model, (data, _) = trained_field
+    monkeypatch.setattr(times, 'FRAMES', 12)
     jobs, errors = times.field_jobs(model, data)
     engines = [f'soil field, {m} of 2 members, {e}' for m in (1, 2) for e in ('C', 'TensorFlow')]
     assert list(dict.fromkeys(name for name, _ in jobs)) == engines
     assert set(errors) == set(engines[:2]) and errors[engines[0]] == errors[engines[1]]
     for job in jobs.values():
-        assert len(job.call()) == 48
-    assert files.read_json(f'{model}/metrics.json')['runs']
+        assert len(job.call()) == 11

@@ -37,32 +37,27 @@ def test_calls_take_turns_after_their_warm_up_and_may_time_themselves(clock):
     assert not len(found['many'].processor)
 
 
-class Live:
-    """A stepper that remembers where it was, and takes 1 s a step and 2 s for its particles."""
-
-    dt = 0.5
-
-    def __init__(self, clock):
-        self.clock, self.log = clock, []
-
-    def start(self, pose, velocity, **context):
-        self.log.append(('start', pose[0], velocity.tolist(), context))
-
-    def step(self, pose, **context):
-        self.clock[0] += 1
-        self.log.append(('step', pose[0], context))
-
-    def particles(self):
-        self.clock[0] += 2
-
-
 def test_every_pose_after_the_first_is_a_step_that_is_given_its_context(clock):
+    """A step takes 1 s, its particles 2 s."""
+    log = []
+
+    class Live:
+        dt = 0.5
+
+        def start(self, pose, velocity, **context):
+            log.append(('start', pose[0], velocity.tolist(), context))
+
+        def step(self, pose, **context):
+            clock[0] += 1
+            log.append(('step', pose[0], context))
+
+        def particles(self):
+            clock[0] += 2
+
     poses = np.zeros((5, 7))
     poses[:, 0], poses[:, 1] = 2.0, np.arange(5)
-    live = Live(clock)
-    assert timing.stepping(live, poses) == [1.0] * 4
+    assert timing.stepping(Live(), poses) == [1.0] * 4
     # It starts with the speed of the path, 1 m in 0.5 s.
-    assert live.log == [('start', 2.0, [0.0, 2.0, 0.0], {})] + 4 * [('step', 2.0, {})]
-    live = Live(clock)
-    assert timing.stepping(live, poses, np.arange(5.0), has_particles=True) == [3.0] * 4
-    assert [entry[-1]['context'] for entry in live.log] == [0.0, 1.0, 2.0, 3.0, 4.0]
+    assert log == [('start', 2.0, [0.0, 2.0, 0.0], {})] + 4 * [('step', 2.0, {})]
+    assert timing.stepping(Live(), poses, np.arange(5.0), has_particles=True) == [3.0] * 4
+    assert [entry[-1]['context'] for entry in log[5:]] == [0.0, 1.0, 2.0, 3.0, 4.0]

@@ -6,7 +6,7 @@ from tests.nri import small
 
 
 def test_proof_simulates_trains_measures_and_draws(tmp_path):
-    config = nri_proof.NriConfig(**small.TINY | {'window': 47, 'epochs': 2})
+    config = nri_proof.NriConfig(**small.TINY | {'window': 48, 'batch_size': 64, 'epochs': 2})
     counts = {'train': 32, 'valid': 16, 'test': 16}
     with models.eagerly():
         result = nri_proof.run('springs', 3, str(tmp_path), counts, config)

@@ -15,23 +15,15 @@ def document() -> dict:
         {'data': data, 'case': case, 'kind': kind}
         for data, case, kind in ((0, '1', 'grid'), (0, 'lift_1', 'lift'), (1, 'beside_1', 'beside'))
     ]
-    bounds = {'force': [3.0, 1.0, 0.1], 'near_mm': 4.0}
     seeds = [
-        {
-            'seed': 0, 'bounds': bounds, 'flagged_frames': 0.25, 'error_flagged': 0.6,
-            'error_inside': 0.2,
-            'errors': {
-                'soil_mm': [1.0, 2.0, 9.0], 'force_relative_l2': [0.1, 0.3, 0.5],
-                'bound_kept': [1.0, 0.94, None], 'bound_newton': [10.0, 20.0, None],
-                'near_95_mm': [3.0, 4.0, 5.0], 'drawbar_relative_l2': [0.1, 0.4, 0.5],
-            },
-        },
-        {
-            'seed': 1, 'errors': {
-                'soil_mm': [2.0, None, 18.0], 'force_relative_l2': [0.2, None, 0.5], 'refused': [1],
-                'drawbar_relative_l2': [0.2, None, 0.5],
-            },
-        },
+        {'seed': 0, 'errors': {
+            'soil_mm': [1.0, 2.0, 9.0], 'force_relative_l2': [0.1, 0.3, 0.5],
+            'drawbar_relative_l2': [0.1, 0.4, 0.5],
+        }},
+        {'seed': 1, 'errors': {
+            'soil_mm': [2.0, None, 18.0], 'force_relative_l2': [0.2, None, 0.5],
+            'drawbar_relative_l2': [0.2, None, 0.5], 'refused': [1],
+        }},
     ]  # fmt: skip
     still = {'soil_mm': [3.0, 3.0, 3.0], 'force_relative_l2': [1.0, 1.0, 1.0]}
     mlp = {'soil_mm': [4.0, 1.0, None], 'force_relative_l2': [0.5, 1.5, None]}
