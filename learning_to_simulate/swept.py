@@ -1,13 +1,11 @@
 """What a circle has swept: a step of it, for all, and the state of a bounded bed, for baselines and
 networks in the subspace.
 
-A tool is reduced to a circle that moves in the plane of travel: the round lower edge of a blade, or
-the rim of a wheel. Bins along the way remember how deep it has been: (1) to (6) of
-docs/soil_field.md, with all bins in the area (4). A soil field has a state of its own, in bins that
-follow the tool (`soil_field.sweep`).
+A tool is reduced to a circle that moves in the plane of travel. Bins along the way remember how
+deep it has been: (1) to (6) of docs/soil_field.md, with all bins in the area (4). A soil field has
+a state of its own, in bins that follow the tool (`soil_field.sweep`).
 
-Nothing is integrated over time: two calls in a row equal one call over the joined path, one frame
-costs the same however long the path is, and shifting path and bed together changes nothing.
+Nothing is integrated over time: two calls in a row equal one call over the joined path.
 Coordinates: u (m) along the way, y (m) upwards. Numpy, float64.
 """
 
@@ -59,18 +57,6 @@ class SweptGrid:
         """[n] centres of the bins relative to the first position of the tool, m; 0 is one."""
         first = int(np.floor(self.behind / self.spacing))
         return self.spacing * np.arange(-first, int(np.floor(self.ahead / self.spacing)) + 1)
-
-    def check_within(self, offset) -> None:
-        """Raises ValueError where one of B tools at offsets [B] (m) from their first positions
-        reaches beyond the bins."""
-        low, high = self.offsets[[0, -1]]
-        outside = (offset - self.radius < low) | (offset + self.radius > high)
-        if outside.any():
-            tool = int(np.argmax(outside))
-            raise ValueError(
-                f'tool {tool} is {offset[tool]:.3g} m from its first position; with its radius of '
-                f'{self.radius:.3g} m the bins from {low:.3g} to {high:.3g} m do not hold it'
-            )
 
 
 class SweptBed(NamedTuple):
@@ -128,16 +114,18 @@ def advance(grid: SweptGrid, state: SweptBed, position, dt) -> SweptBed:
     """The state after the tools have gone straight to their next positions [B, 2], m, within dt s.
     ValueError for a time that does not pass; a position that is not finite, or whose underside
     reaches beyond the bins."""
-    check_time(dt)
-    position = numbers('position', position, state.position.shape)
-    grid.check_within(position[:, 0] - state.origin)
-    return _cut(grid, state, position, dt)
-
-
-def check_time(dt) -> None:
-    """Raises ValueError for a duration (s) that is not positive and finite."""
     if not 0 < dt < np.inf:
         raise ValueError(f'a frame must last longer than 0 s, got {dt}: time does not go back')
+    position = numbers('position', position, state.position.shape)
+    offset, (low, high) = position[:, 0] - state.origin, grid.offsets[[0, -1]]
+    outside = (offset - grid.radius < low) | (offset + grid.radius > high)
+    if outside.any():
+        tool = int(np.argmax(outside))
+        raise ValueError(
+            f'tool {tool} is {offset[tool]:.3g} m from its first position; with its radius of '
+            f'{grid.radius:.3g} m the bins from {low:.3g} to {high:.3g} m do not hold it'
+        )
+    return _cut(grid, state, position, dt)
 
 
 def _cut(grid, state, position, dt):

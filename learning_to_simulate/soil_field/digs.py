@@ -135,29 +135,21 @@ def _poses(columns, terrain):
 
 
 def _check(path, numbers, times, pose):
-    steps = np.diff(times)
-    far = f'rows at most {SLOWEST_ROWS} s apart are taken; are these milliseconds?'
-    for is_wrong, what in (
-        (steps <= 0, 'times of a run must ascend'), (steps > SLOWEST_ROWS, far),
-    ):  # fmt: skip
+    def refuse(is_wrong, values, what):
         if is_wrong.any():
-            k = int(np.argmax(is_wrong))
-            raise ValueError(
-                f'{path}, line {numbers[k + 1]}: time_s is {times[k + 1]:.6g} after '
-                f'{times[k]:.6g}; {what}'
-            )
+            k = int(np.argmax(is_wrong)) - len(is_wrong)  # counted from the end
+            raise ValueError(f'{path}, line {numbers[k]}: {what.format(values[k])}')
+
+    steps, norm = np.diff(times), np.linalg.norm(pose[:, 3:], axis=1)
+    refuse(steps <= 0, times, 'time_s is {:.6g}; times of a run must ascend')
+    far = f'at most {SLOWEST_ROWS} are taken; are these milliseconds?'
+    refuse(
+        steps > SLOWEST_ROWS, steps, f'time_s comes {{:.4g}} s after that of the row before, {far}'
+    )
     speed = np.linalg.norm(np.diff(pose[:, :3], axis=0), axis=1) / steps
-    k = int(np.argmax(speed))
-    if speed[k] > FASTEST:
-        raise ValueError(
-            f'{path}, line {numbers[k + 1]}: the tool jumps at {speed[k]:.4g} m/s, at most '
-            f'{FASTEST} are taken; are these millimetres?'
-        )
-    norm = np.linalg.norm(pose[:, 3:], axis=1)
-    k = int(np.argmax(np.abs(norm - 1)))
-    if abs(norm[k] - 1) > 0.01:
-        where = f'{path}, line {numbers[k]}'
-        raise ValueError(f'{where}: the quaternion has length {norm[k]:.4g}, not 1')
+    far = f'at most {FASTEST} are taken; are these millimetres?'
+    refuse(speed > FASTEST, speed, f'the tool jumps at {{:.4g}} m/s, {far}')
+    refuse(np.abs(norm - 1) > 0.01, norm, 'the quaternion has length {:.4g}, not 1')
 
 
 def _flat(pose, surface, gravity):

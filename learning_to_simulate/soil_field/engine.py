@@ -4,6 +4,7 @@
 """
 
 import copy
+import functools
 import numbers
 from typing import Any, NamedTuple
 
@@ -56,7 +57,7 @@ class SoilFrame(NamedTuple):
 def unit_pose(pose) -> np.ndarray:
     """A pose of its own, its quaternion of length 1, that nobody writes into; ValueError as
     `checked_pose`."""
-    pose = checked_pose(pose).copy()
+    pose = checked_pose(pose)
     pose[3:] /= np.linalg.norm(pose[3:])
     pose.setflags(write=False)
     return pose
@@ -94,6 +95,7 @@ class TfEngine:
         self._field, self._terrain, self._tool, self._members = field, terrain, tool, members
         self.name = f'TensorFlow{why}'
         self._units = tool.units(terrain.soil)
+        self._rise = functools.partial(field.rise, members=members)
         self._passage: Any = None
         self._frame: Any = None
         self._number = 0
@@ -114,8 +116,8 @@ class TfEngine:
 
     def _finish(self):
         """Ends the passage: its soil comes to rest."""
-        self.update()
         if self._passage is not None:
+            self._passage.update()
             self._terrain.settle(self._passage.surroundings()[0])
             self._passage = None
 
@@ -126,15 +128,9 @@ class TfEngine:
         refuse_floor(pose, self._tool, self._terrain)
         place_of(pose)  # refuses what would leave the tool without a passage
         self._finish()
-        self._passage, self._number = self._begun(pose), 0
+        self._passage, self._number = Passage(self._terrain, self._tool, pose, self._rise), 0
         self._frame = self._seen(self._passage, pose, OK)
         return self._frame
-
-    def _begun(self, pose):
-        return Passage(self._terrain, self._tool, pose, rise=self._rise)
-
-    def _rise(self, passage, places):
-        return self._field.rise(passage, places, self._members)
 
     def propose(self, pose, dt: float) -> SoilFrame:
         return self._proposed(pose, dt)[1]
@@ -183,7 +179,7 @@ class TfEngine:
         in_air = not (last.force.any() or last.torque.any())
         leaves = abs(yaw) > TURNED or abs(aside) / passage.scale > MOVED or passage.is_over
         if in_air and leaves:
-            fresh = self._begun(pose)
+            fresh = Passage(self._terrain, self._tool, pose, self._rise)
             if not np.any(self._field.loads(fresh.frame, 1)):
                 return fresh, self._seen(fresh, pose, last.judgement)
         passage.step(pose, dt)
@@ -211,7 +207,8 @@ class TfEngine:
         found = [place.local(pose[:3])[2], max(beyond, 0.0),
                  max(passage.scale * self._tool.least_soil - over_floor, 0.0), max([0.0, *others]),
                  t.cell.max()]  # fmt: skip
-        of_passage = passage.crossfall, passage.slope, passage.turning, passage.leans
+        leans = self._tool.leans(float(passage.state.pose[2]))
+        of_passage = passage.crossfall, passage.slope, passage.turning, leans
         near = max(self._tool.wall_beside - beside / passage.scale, 0.0)
         return np.array([yaw, roll, *np.array(found) / passage.scale, *of_passage, near])
 
@@ -237,7 +234,7 @@ class TfEngine:
         terrain.works_in_python = True
         terrain.add_work(other)
         if self._passage is not None:
-            other._passage = self._passage.clone(terrain, other._rise)
+            other._passage = self._passage.clone(terrain)
         return other
 
     def anchor(self, pose, set_down: bool = False) -> 'TfAnchor':
@@ -264,7 +261,7 @@ class TfAnchor:
         return sweep.follow(origin, self._passage.seen(pose)[0]) != origin
 
     def follow(self, pose, dt: float) -> None:
-        if not self._passage.lifts(pose):
+        if not self._passage.lifts(self._passage.seen(pose)):
             self._passage.step(pose, dt)
 
     def displaced(self, rest) -> np.ndarray:
@@ -280,5 +277,5 @@ class TfAnchor:
 
     def clone(self, terrain) -> 'TfAnchor':
         other = copy.copy(self)
-        other._passage = self._passage.clone(terrain, None)
+        other._passage = self._passage.clone(terrain)
         return other

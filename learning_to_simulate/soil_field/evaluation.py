@@ -2,14 +2,8 @@
 
 Each run begins on its bed as it was before the tool stood on it; from then on the terrain is what
 the model makes of it. Errors are those of frames H on, as of all methods; docs/soil_field.md says
-what each is. Bounds are calibrated on runs of valid (`bounds_of`) and judged on all: `bound_kept`,
-the share of frames inside of training whose force keeps its bound, and `near_95_mm`, below which
-the error of the map near the tool is in 95 % of these frames, mm of the field, where the model has
-not moved it; where it has moved it by m (root mean squares over cells), (1 + m / 1 mm) times that.
-
-Beside the model stand persistence; the model under the load that moved the tool, where that was
-recorded (`runs.Machine`; free coordinates are predicted then); and a formula of the literature for
-the loads, on the recorded terrain (`baselines`).
+what each is, and what stands beside the model. Bounds are calibrated on runs of valid (`bounds_of`)
+and judged on frames inside of training of all: `bound_kept` and `near_95_mm`.
 """
 
 import functools

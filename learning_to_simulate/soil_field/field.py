@@ -24,7 +24,7 @@ MARGIN = 0.05
 # passage; how far its ends stand out of the map; what is missing of the tool's `least_soil` between
 # it and the floor; by how much another tool is nearer than `APART`; the side of a cell, at most the
 # tool's `largest_cell`; `Passage.crossfall`; of no unit, `Passage.slope` and `turning`, in the
-# tool's `taught_turning`; rad, `Passage.leans`; m of the field, by how much a wall is nearer to
+# tool's `taught_turning`; rad, `Tool.leans`; m of the field, by how much a wall is nearer to
 # its ends than the tool's `wall_beside`.
 CONDITIONS = {
     'yaw': (-0.035, 0.035),

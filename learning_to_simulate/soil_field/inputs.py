@@ -46,7 +46,7 @@ class Row:
 
     Attributes:
       operand: an expression.
-      scale, squash, shift: a squash is a name of `SQUASHES`.
+      squash: a name of `SQUASHES`.
       at: offsets of `at.` along the way, m; () without any.
     """
 
@@ -64,11 +64,7 @@ class Row:
 
 @dataclasses.dataclass(frozen=True)
 class Table:
-    """Inputs that are computed together.
-
-    Attributes:
-      rows: in the order of the inputs.
-    """
+    """Inputs that are computed together; rows in their order."""
 
     rows: tuple[Row, ...]
 
@@ -90,16 +86,9 @@ def names(expression: str) -> list[str]:
     return list(dict.fromkeys(str(v) for kind, v in program(expression) if kind == 'name'))
 
 
-def evaluate(expression: str, values, functions: dict = _FUNCTIONS):
-    """The value of an expression.
-
-    Args:
-      expression: an operand.
-      values: name -> number, array or tensor.
-      functions: abs, relu and sqrt by their names.
-    """
-    known = _OF_TWO | functions
-    stack: list = []
+def evaluate(expression: str, values):
+    """The value of an expression, of name -> number, array or tensor."""
+    known, stack = _OF_TWO | _FUNCTIONS, []
     for kind, value in program(expression):
         if kind in ('name', 'number'):
             stack.append(values[value] if kind == 'name' else value)

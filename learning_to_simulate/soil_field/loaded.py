@@ -1,16 +1,13 @@
 """`LoadedTool`: a tool that is free along, up or in its lean, under weight, forces and actuators.
 
-One law holds for pushed and for loaded tools: the force of the soil in the coming frame is a
-function of the coming pose. So the motion of a mass follows from backward Euler, (18) of
-docs/soil_field.md, solved for one free coordinate after the other until all hold. The soil unloads
-within a millimetre or two, and each residual grows with its own coordinate, so a bracket holds the
-root: a tool rests, stalls and comes back at any step, however light it is.
+The force of the soil in the coming frame is a function of the coming pose, so the motion of a mass
+follows from backward Euler, (18) of docs/soil_field.md, solved for one free coordinate after the
+other until all hold. Each residual grows with its own coordinate, so a bracket holds the root: a
+tool rests, stalls and comes back at any step, however light it is.
 
-The force of a field knows hardly any time, so a tool that rests on it would swing. Soil does not
-throw a tool back: with what presses on it, it damps what is not slow, (21). It damps no more than
-it bears, and what sinks, climbs or descends evenly feels nothing of it. Nor does a tool that
-something else holds: s falls from 1 to 0 where springs and dampers of the machine have a share
-`HELD` of the stiffness and damping of (21). At the floor of the terrain a tool rests.
+The force of a field knows hardly any time, so a tool that rests on it would swing; soil damps it,
+(21). What sinks, climbs or descends evenly feels nothing of that, nor does a tool that something
+else holds. At the floor of the terrain a tool rests.
 """
 
 import functools

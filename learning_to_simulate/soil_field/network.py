@@ -2,9 +2,6 @@
 
 A frame holds J strips with n bins each (`place`, `sweep`). Contact and load of strips and tool are
 (10) to (12) of docs/soil_field.md, what the surface and a particle do (13) to (15).
-
-No load acts in the air, soil far from all that was swept rests to the last bit, and nothing jumps
-where a passage begins.
 """
 
 import functools
@@ -85,7 +82,7 @@ class _Frames:
     @functools.cache  # noqa: B019 - networks live as long as their functions
     def compiled(self, name: str, n_strips: int, members: int | None = None):
         """The method of a name as a function of tensors, compiled where it is first called: of
-        frames of a number of strips, where places are asked for also of these and their `looks`;
+        frames of a number of strips, where places are asked for also of what is `placed`;
         `members` (None: all) of one that answers by members."""
         spec = tf.TensorSpec
         signature: list = [
@@ -323,9 +320,10 @@ class SoilNetworks(_Frames, tf.Module):
         width = 2.0 * scalars[:, 0, self.scalars['half_width']]
         return self.load_of(*self._seen('load_inputs', bins, scalars), width, members)
 
-    def rise_of(self, seen, gate, members=None):
-        """[M, ...] m, of `surface_inputs` [..., I] and [...]: (14)."""
-        found = self.surface(tf.reshape(seen, [-1, seen.shape[-1]]), members)
+    def moved_of(self, name, seen, gate, members=None):
+        """[M, ...] m by which 'surface' or 'soil' has moved, of its inputs [..., I] and of what
+        outputs are multiplied by [...]: (14), (15)."""
+        found = getattr(self, name)(tf.reshape(seen, [-1, seen.shape[-1]]), members)
         return LENGTH * gate[None] * tf.reshape(found, tf.concat([[-1], tf.shape(gate)], axis=0))
 
     def rise(self, bins, scalars, places, strips, members=None):
@@ -334,33 +332,25 @@ class SoilNetworks(_Frames, tf.Module):
         Args:
           bins, scalars: of `sweep.Frame`.
           places: [B, P, 2] u from the origin and distance across, m.
-          strips: of `looks`: three pairs of `Strips.shares`, int32 and float32 [B, P], at the
-            place, and `NEIGHBOUR` farther from and nearer to the middle.
+          strips: three pairs of `Strips.shares`, int32 and float32 [B, P], at the place, and
+            `NEIGHBOUR` farther from and nearer to the middle.
           members: number of networks that answer; None: all.
         """
-        return self.rise_of(*self._seen('surface_inputs', bins, scalars, places, strips), members)
-
-    def displacement_of(self, seen, gate, members=None):
-        """[M, ..., 3] m, of `soil_inputs` [..., I] and [..., 3]: (15)."""
-        found = self.soil(tf.reshape(seen, [-1, seen.shape[-1]]), members)
-        return LENGTH * gate[None] * tf.reshape(found, tf.concat([[-1], tf.shape(gate)], axis=0))
+        found = self._seen('surface_inputs', bins, scalars, places, strips)
+        return self.moved_of('surface', *found, members)
 
     def displacement(self, bins, scalars, places, strips, members=None):
         """By how much particles have moved, [M, B, P, 3] m along, up, across: (15); places are
         [B, P, 3] u from the origin, height over the level, distance across, m."""
-        return self.displacement_of(
-            *self._seen('soil_inputs', bins, scalars, places, strips), members
-        )
-
-
-def looks(strips: Strips, across):
-    """What `rise` and `displacement` take as strips, for distances across [...], m."""
-    sign = np.where(np.asarray(across) < 0, -1.0, 1.0)
-    pairs = [strips.shares(np.asarray(across) + d * sign) for d in (0.0, NEIGHBOUR, -NEIGHBOUR)]
-    return [(j.astype(np.int32), b.astype(np.float32)) for j, b in pairs]
+        found = self._seen('soil_inputs', bins, scalars, places, strips)
+        return self.moved_of('soil', *found, members)
 
 
 def placed(strips: Strips, places):
-    """Places [P, ...] of one frame and their `looks`, as tensors of [1, P, ...]."""
-    pairs = [(tf.constant(j[None]), tf.constant(b[None])) for j, b in looks(strips, places[:, -1])]
-    return tf.constant(places[None].astype(np.float32)), pairs
+    """Tensors that `rise` and `displacement` take as places and strips, of places [P, ...], m, of
+    one frame."""
+    across = places[None, :, -1]
+    sign = np.where(across < 0, -1.0, 1.0)
+    pairs = [strips.shares(across + d * sign) for d in (0.0, NEIGHBOUR, -NEIGHBOUR)]
+    pairs = [(tf.constant(j, tf.int32), tf.constant(b, tf.float32)) for j, b in pairs]
+    return tf.constant(places[None], tf.float32), pairs

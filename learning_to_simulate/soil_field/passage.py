@@ -7,10 +7,9 @@ from collections.abc import Callable
 import numpy as np
 
 from learning_to_simulate.soil_field import sweep
-from learning_to_simulate.soil_field.place import BESIDE, Place, checked_pose, place_of, strips_of
+from learning_to_simulate.soil_field.place import BESIDE, Place, place_of, strips_of
 from learning_to_simulate.soil_field.terrain import Terrain
 from learning_to_simulate.soil_field.tools import STANDARD_GRAVITY, Tool
-from learning_to_simulate.swept import check_time
 
 # m of the field: walls farther away do not matter, nor floors farther below.
 AHEAD, BELOW = 0.7, 0.2
@@ -36,15 +35,7 @@ class Passage:
     heights of the terrain are kept as the tool has left them by now. A `copy.copy` may go on to try
     a step and be dropped: it shares what is known of cells. `clone` is for another terrain.
 
-    Where the terrain slopes evenly along the way, the passage is laid on it (`Place.grade`); what
-    is left out is that gravity leans. On a long way, and where the ground takes another grade, a
-    passage is renewed as the tool cuts new soil: what the terrain is by then counts as what it was
-    before the tool came, and the memory of the way (7) goes on. So no number leaves training
-    because the way is long.
-
-    Soil is kept by (19) and (20) of docs/soil_field.md. What a chunk of cells changes in C (19) as
-    it leaves comes in over the next `sweep.CHUNK` bins of way. A tool that is lifted over the
-    terrain before it moves no soil: heights stay as they were when it left.
+    Slopes, renewed passages and volume: docs/soil_field.md.
 
     Args:
       terrain: is changed, if `rise` is given.
@@ -106,21 +97,18 @@ class Passage:
         self._owed = self._owed_at = 0.0  # C less all that was cut, before a chunk left; way then
         self._see()
         self._is_stale = set_down
-        self.is_lifted = self._lifts(self._pose)
+        self.is_lifted = self.lifts(self._pose)
 
     def seen(self, pose) -> np.ndarray:
         """u, y (m of the field) and lean (rad) of a pose [7]."""
-        pose = checked_pose(pose)
         # (25); on a slope the lean counts from it.
         u, y, _ = self.place.laid(self.place.local(pose[:3])) / self.scale
         return np.array([u, y, self.place.turns(pose)[0] - np.arctan(self.place.grade)])
 
     def lifts(self, pose) -> bool:
-        """Whether a tool at a pose [7] is by `Tool.lifted`, where it has turned back at all, over
-        the highest terrain before it that lies under it, and over the mean of all in sight."""
-        return self._lifts(self.seen(pose))
-
-    def _lifts(self, pose):
+        """Whether a tool at a pose as it is `seen` is by `Tool.lifted`, where it has turned back at
+        all, over the highest terrain before it that lies under it, and over the mean of all in
+        sight."""
         surface = self.state.surface[self.strips.under]
         is_under = np.abs(self.state.origin + sweep.OFFSETS - pose[0]) < UNDER
         highest = surface[:, is_under].max(initial=surface.mean())
@@ -202,11 +190,6 @@ class Passage:
             return x
         return abs(x) if along * x >= 0 else along * x / math.hypot(along, x)
 
-    @property
-    def leans(self) -> float:
-        """See `Tool.leans`, rad."""
-        return self.tool.leans(float(self.state.pose[2]))
-
     def _ground(self, surface, origin, least=FLAT) -> Place:
         """The place on the ground of a surface [J, n_bin] about an origin, if it slopes by more."""
         height, slope, off = _line(surface)
@@ -244,15 +227,14 @@ class Passage:
         )
 
     def step(self, pose, dt: float) -> None:
-        """Moves the tool in a straight line to a pose [7] within dt s; ValueError for a time that
-        does not pass, no pose, or one farther away than `MAX_STEP`: the passage is as it was."""
-        check_time(dt)
+        """Moves the tool in a straight line to a pose [7] within dt s; ValueError for one farther
+        away than `MAX_STEP`: the passage is as it was."""
         coming = self.seen(pose)
         change = coming - self._pose
         change[2] = (change[2] + np.pi) % (2 * np.pi) - np.pi
         refuse_far(self.scale, change[0])
         origin, to = self.state.origin, sweep.follow(self.state.origin, coming[0])
-        lifts = self._lifts(coming)
+        lifts = self.lifts(coming)
         if lifts and not self.is_lifted:
             self.update()  # as the tool leaves it
         if to != origin:
@@ -283,10 +265,10 @@ class Passage:
         way = (self.state.travelled - self._owed_at) / (sweep.CHUNK * sweep.SPACING)
         return self._owed + min(way, 1.0) * (goal - self._owed)
 
-    def clone(self, terrain: Terrain, rise: Callable | None = None) -> 'Passage':
+    def clone(self, terrain: Terrain) -> 'Passage':
         """The passage on a clone of its terrain."""
         other = copy.copy(self)
-        other.terrain, other._rise = terrain, rise
+        other.terrain = terrain
         other._before, other._left = self._before.copy(), self._left.copy()
         return other
 
@@ -432,7 +414,7 @@ def _line(surface) -> tuple[float, float, float]:
 
 
 def refuse_far(scale: float, along: float) -> None:
-    """Raises ValueError for a step along the way, m of the field, that is too long for a frame."""
+    """Raises ValueError for a step along the way, m of the field, that is too long."""
     if abs(along) > MAX_STEP:
         raise ValueError(
             f'the tool goes {scale * along:.4g} m within one frame, at most '

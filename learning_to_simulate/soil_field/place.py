@@ -3,19 +3,15 @@ strips of terrain under it and beside it.
 
 The world has y up, x and z on the ground, in metres. A tool that stands upright with the identity
 as its quaternion looks along -x. Its place has three axes, right-handed: along the way (where the
-tool looks, level), up, across. A turn or shift of the whole scene changes the place and nothing
-that is seen from it.
-
-Under a blade of width w lie five strips of w / 5, beside it on either side three of 0.1 m. The
-height of a strip at some place along the way is the mean over its width. Where all strips are
-equal, one as wide as the tool does.
+tool looks, level), up, across. The height of a strip is the mean over its width. Where all strips
+are equal, one as wide as the tool does.
 """
 
 from typing import NamedTuple
 
 import numpy as np
 
-from learning_to_simulate.live.poses import rotation_matrix
+from learning_to_simulate.live.poses import UNIT_TOLERANCE, numbers, rotation_matrix
 from learning_to_simulate.soil_field.terrain import Terrain
 from learning_to_simulate.soil_field.tools import Tool
 
@@ -85,12 +81,9 @@ class Place(NamedTuple):
         return self.vectors(np.stack([c * on - s * off, s * on + c * off, across], axis=-1))
 
     def turns(self, pose) -> np.ndarray:
-        """Lean, yaw and roll [..., 3] (rad) of poses [..., 7].
-
-        With the rotation L of the tool seen from here: lean is where L takes the axis up,
-        atan2(-(L up)_along, (L up)_up), positive where the top lies behind; yaw is where it takes
-        the axis across, atan2((L across)_along, (L across)_across), roll the rise of that.
-        """
+        """Lean, yaw and roll [..., 3] (rad) of poses [..., 7]: lean is where the tool's turn takes
+        the axis up, positive where the top lies behind; yaw is where it takes the axis across, roll
+        the rise of that."""
         local = self.axes @ rotation_matrix(pose[..., 3:]) @ UPRIGHT.T
         up, across = local[..., 1], local[..., 2]
         lean = np.arctan2(-up[..., 0], up[..., 1])
@@ -112,16 +105,10 @@ def place_of(pose) -> Place:
 
 
 def checked_pose(pose) -> np.ndarray:
-    """A pose [7] as float64; ValueError for another shape, values that are not finite, or a
-    quaternion that is not of length 1 (to 1e-3)."""
-    try:
-        found = np.asarray(pose, np.float64)
-    except (TypeError, ValueError):
-        found = np.zeros(0)
-    if found.shape != (7,) or not np.isfinite(found).all():
-        raise ValueError(f'pose is {pose}, place in m and unit quaternion [7] were expected')
-    pose = found
-    if abs(np.linalg.norm(pose[3:]) - 1.0) > 1e-3:
+    """A copy of a pose [7] as float64; ValueError for another shape, values that are not finite, or
+    a quaternion that is not of length 1."""
+    pose = numbers('pose (place in m, unit quaternion)', pose, (7,))
+    if abs(np.linalg.norm(pose[3:]) - 1.0) > UNIT_TOLERANCE:
         raise ValueError(f'quaternion {pose[3:]} (w, x, y, z) must have length 1')
     return pose
 

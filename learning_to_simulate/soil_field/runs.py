@@ -1,6 +1,5 @@
 """Runs as a soil field learns from them."""
 
-import contextlib
 import dataclasses
 import os
 from typing import Any, NamedTuple
@@ -162,7 +161,7 @@ def read(folder: str, split: str) -> list[Run]:
                 f'{folder}: run {case.get("case", i)} lacks a pose, force or torque, from which a '
                 f'soil field learns; convert runs that have them'
             )
-        with _saying(folder, case):
+        try:
             found.append(
                 Run(
                     str(case['case']), str(case.get('kind', 'run')), split, tool_of(case),
@@ -174,6 +173,11 @@ def read(folder: str, split: str) -> list[Run]:
                     bool(case.get('lead_in_frames')),
                 )
             )  # fmt: skip
+        except (KeyError, TypeError, AttributeError, IndexError) as error:
+            raise ValueError(
+                f'{folder}: run {case.get("case")} does not say its tool as a soil field needs it '
+                f'({error!r}): give `blade_width_m`, or `diameter_m` and `body_width_m`, or `tool`'
+            ) from error
     return found
 
 
@@ -211,21 +215,6 @@ def machine_of(case: dict, record: dataset.Trajectory) -> Machine | None:
 
 def soil_of(case: dict) -> Soil:
     """The soil of a run, from its parameters or the usual one."""
-    usual = Soil()
-    return Soil(
-        float(case.get('friction_angle_deg', usual.friction_angle_deg)),
-        float(case.get('bulk_density_kg_m3', usual.density)),
-        float(case.get('gravity_m_s2', usual.gravity)),
-    )
-
-
-@contextlib.contextmanager
-def _saying(folder, case):
-    """Names folder and run in what is missing from a case."""
-    try:
-        yield
-    except (KeyError, TypeError, AttributeError, IndexError) as error:
-        raise ValueError(
-            f'{folder}: run {case.get("case")} does not say its tool as a soil field needs it '
-            f'({error!r}): give `blade_width_m`, or `diameter_m` and `body_width_m`, or `tool`'
-        ) from error
+    names = 'friction_angle_deg', 'bulk_density_kg_m3', 'gravity_m_s2'
+    of_soil = zip(('friction_angle_deg', 'density', 'gravity'), names, strict=True)
+    return Soil(**{own: float(case[name]) for own, name in of_soil if name in case})

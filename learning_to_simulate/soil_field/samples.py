@@ -47,34 +47,19 @@ def loads_of(run: Run, place) -> np.ndarray:
     return np.concatenate([force, torque], axis=1) / run.tool.units(run.soil)
 
 
-class Walk:
-    """A passage along a recorded path, over the recorded terrain.
-
-    Args:
-      run: the run.
-      start: frame, a multiple of the stride of its heights.
-      set_down: see `Passage`.
-
-    Attributes:
-      passage: the newest; another one where that was renewed.
-    """
-
-    def __init__(self, run: Run, start: int = 0, set_down: bool = True):
-        self._run, self.frame_number = run, start
-        terrain = run.terrain(start) if start else run.before()
-        self.passage = Passage(terrain, run.tool, run.pose[start], set_down=set_down, lays=False)
-        self._all = np.arange(terrain.heights.size)
-
-    def go_on(self) -> None:
-        """Goes to the next frame."""
-        run = self._run
-        if self.passage.is_due:
-            self.passage = self.passage.renewed(run.pose[self.frame_number])
-        self.frame_number += 1
-        if not self.frame_number % run.stride:
-            heights = run.heights[self.frame_number // run.stride]
-            self.passage.terrain.write(self._all, heights.ravel())
-        self.passage.step(run.pose[self.frame_number], run.dt)
+def walk(run: Run, start: int = 0):
+    """Yields number and `Passage` of all frames from one on, a multiple of the stride of heights,
+    over the recorded terrain; another passage where it was renewed."""
+    terrain = run.terrain(start) if start else run.before()
+    passage = Passage(terrain, run.tool, run.pose[start], set_down=start == 0, lays=False)
+    yield start, passage
+    for t in range(start + 1, len(run.pose)):
+        if passage.is_due:
+            passage = passage.renewed(run.pose[t - 1])
+        if not t % run.stride:
+            terrain.write(slice(None), run.heights[t // run.stride].ravel())
+        passage.step(run.pose[t], run.dt)
+        yield t, passage
 
 
 class Episode(NamedTuple):
@@ -106,27 +91,22 @@ def episode_of(run: Run, start: int = 0, whole: Episode | None = None) -> Episod
     recorded, which it has not moved, so a field learns to go on from any terrain. There it has the
     memory of the way so far, and goes on until a passage is renewed, where the `whole` of its run
     is given; else it has none, and goes on for `EPISODE` frames."""
-    walk = Walk(run, start, set_down=start == 0)
     frames, risen, ways = [], [], []
-    last, settled = len(run.pose) - 1, 0.0
-    if whole is not None:
-        path = whole.frames.scalars[start, 0, : len(sweep.SCALARS)].astype(np.float64)
-        memory = path[-len(sweep.MEMORIES) * len(sweep.MOTIONS) :].reshape(len(sweep.MEMORIES), -1)
-        walk.passage.remember(memory, path[sweep.SCALARS.index('speed')])
-    elif start:
-        last, settled = min(start + EPISODE, last), SETTLED
-    while True:
-        passage = walk.passage
+    last, settled = (start + EPISODE, SETTLED) if start and whole is None else (len(run.pose), 0.0)
+    for t, passage in walk(run, start):
+        if t == start and whole is not None:
+            path = whole.frames.scalars[t, 0, : len(sweep.SCALARS)].astype(np.float64)
+            memory = path[-len(sweep.MEMORIES) * len(sweep.MOTIONS) :]
+            speed = path[sweep.SCALARS.index('speed')]
+            passage.remember(memory.reshape(len(sweep.MEMORIES), -1), speed)
         frames.append(passage.frame)
         ways.append(passage.state.way)
-        t = walk.frame_number
         if not t % run.stride:
             cells, places, before = passage.surroundings()
             now = run.heights[t // run.stride].ravel()[cells]
             risen.append((t - start, places, (now - before) / passage.scale))
         if t == last or (whole is not None and passage.is_due):
             break
-        walk.go_on()
     loads = loads_of(run, passage.place)[start : t + 1]
     frames = _stacked(frames, len(passage.strips.centres))
     return Episode(frames, passage, risen, loads, np.array(ways) >= settled)
@@ -186,14 +166,13 @@ def motion_of(episode: Episode) -> float:
 
 def surface_part(networks, episode: Episode, motion: float, rng) -> Part:
     """Samples of the surface; `motion` is that of the whole run."""
-    frames, strips, rows = episode.frames, episode.passage.strips, []
-    call = networks.inputs.compiled('surface_inputs', frames.bins.shape[1])
+    rows = []
     for t, places, rise in episode.risen[1:]:
         chosen, stands = _drawn(rng, np.abs(rise) > MOVED)
-        frame = map(tf.constant, frames.at(slice(t, t + 1)))
-        seen, gate = call(*frame, *placed(strips, places[chosen]))
+        frame = episode.frames.at(slice(t, t + 1))
+        seen = _seen(networks, 'surface', frame, episode.passage.strips, places[chosen])
         weight = stands / len(rise) / max(motion, LEAST_MOTION) ** 2
-        rows.append((seen.numpy()[0], gate.numpy()[0], rise[chosen], weight))
+        rows.append((*seen, rise[chosen], weight))
     return _part(rows)
 
 
@@ -201,29 +180,33 @@ def soil_part(networks, run: Run, rng) -> Part:
     """Samples of particles, of episodes none of which is longer than the bins reach."""
     rows: list = []
     for start in starts_of(run):
-        walk = Walk(run, start, set_down=start == 0)
-        passage, origin = walk.passage, walk.passage.state.origin
+        steps = walk(run, start)
+        _, passage = next(steps)
+        origin = passage.state.origin
         local = passage.place.local(np.asarray(run.particles)) / passage.scale
         rest = local[start // run.stride]
         reach = run.tool.width / passage.scale / 2 + BESIDE
         near = np.abs(rest[:, 2]) < reach
-        while walk.frame_number + 1 < len(run.pose):
-            walk.go_on()
-            t = walk.frame_number
-            if passage.state.origin != origin:
+        for t, now in steps:
+            if now is not passage or passage.state.origin != origin:
                 break
             if t % (2 * run.stride):
                 continue
             moved = local[t // run.stride] - rest
             chosen, stands = _drawn(rng, (np.abs(moved).max(axis=1) > MOVED) & near)
             places = rest[chosen] - [origin, passage.level, 0.0]
-            call = networks.inputs.compiled('soil_inputs', len(passage.strips.centres))
-            seen, gate = call(*map(tf.constant, passage.frame), *placed(passage.strips, places))
-            rows.append((seen.numpy()[0], gate.numpy()[0], moved[chosen], stands / len(rest)))
+            seen = _seen(networks, 'soil', passage.frame, passage.strips, places)
+            rows.append((*seen, moved[chosen], stands / len(rest)))
     part = _part(rows)
     total = part.weight.sum() or 1.0  # of a tool that is clear of all particles
     motion = np.sqrt((part.weight[:, None] * part.target**2).sum() / total)
     return part._replace(weight=part.weight / max(motion, LEAST_MOTION) ** 2)
+
+
+def _seen(networks, name, frame, strips, places):
+    """What the network of surface or soil sees of places of one frame, and its gates."""
+    call = networks.inputs.compiled(f'{name}_inputs', len(strips.centres))
+    return [x.numpy()[0] for x in call(*map(tf.constant, frame), *placed(strips, places))]
 
 
 def _part(rows):

@@ -9,7 +9,7 @@ from learning_to_simulate.native import soil_engine
 from learning_to_simulate.native.engines import BEST
 from learning_to_simulate.soil_field.engine import SoilFrame
 from learning_to_simulate.soil_field.field import SoilField
-from learning_to_simulate.soil_field.place import UP, Place
+from learning_to_simulate.soil_field.place import UP, Place, checked_pose
 from learning_to_simulate.soil_field.terrain import Terrain
 from learning_to_simulate.soil_field.tools import Tool
 from learning_to_simulate.soil_field.tracer import Followed, Tracer
@@ -77,7 +77,9 @@ class SoilStepper:
     def start(self, pose, particles=None) -> SoilFrame:
         """Sets the tool down from above at a pose [7]; ValueError for what is none, or is under the
         floor. Given `particles` [P, 3], m, are then followed in place of those about the tool."""
-        given = None if particles is None else Followed(self._engine, pose, particles)
+        given = None
+        if particles is not None:
+            given = Followed(self._engine, checked_pose(pose), particles)
         self._frame, self._tracer = self._engine.start(pose), given
         return self._frame
 

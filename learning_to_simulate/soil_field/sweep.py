@@ -1,15 +1,13 @@
 """What a tool has swept on a terrain: the state of a soil field, in numpy and float64.
 
-A tool is a circle drawn out across the way: the round lower edge of a blade or bucket, or the rim
-of a wheel. J strips lie side by side across the way, under the tool and beside it; each has bins
-along the way. The bins are a ring about the tool: where it leaves them, those behind are dropped
-and new ones are read from the terrain, so that a path has no end and a step always costs the same.
-What they remember are (1) to (9) of docs/soil_field.md; of the outermost bins of the area (4) their
-share counts, and `foremost` is at most FORGET before the tool, farther than the bins.
+J strips lie side by side across the way, under the tool and beside it; each has bins along the way,
+which move with the tool: a path has no end and a step always costs the same. What they remember are
+(1) to (9) of docs/soil_field.md; of the outermost bins of the area (4) their share counts, and
+`foremost` is at most FORGET before the tool, farther than the bins.
 
-Two calls in a row equal one call over the joined path up to (7), which sees straight pieces; moving
-path and terrain together changes nothing. Coordinates: u (m) along the way, y (m) upwards; lengths
-are those of the tool's scale (`tools.Tool`).
+Two calls in a row equal one call over the joined path up to (7), which sees straight pieces.
+Coordinates: u (m) along the way, y (m) upwards; lengths are those of the tool's scale
+(`tools.Tool`).
 """
 
 from collections.abc import Callable

@@ -4,6 +4,7 @@ import weakref
 
 import numpy as np
 
+from learning_to_simulate.live.poses import numbers
 from learning_to_simulate.soil_field.tools import Soil
 from pca_tools import files
 
@@ -35,31 +36,22 @@ class Terrain:
     """
 
     def __init__(self, heights, cell=CELL, corner=(0.0, 0.0), soil=None, floor=None, walled=False):
-        if np.iscomplexobj(heights):
-            raise ValueError('heights are complex numbers, m were expected')
-        self._heights = np.array(heights, np.float64, order='C')  # `write` needs a flat view
+        # `write` needs a flat view.
+        self._heights = np.ascontiguousarray(numbers('heights', heights, (None, None)))
         self._works: list = []  # weak references to what changes heights on being asked
         self.works_in_python = False  # whether some of that is unknown to the C library
-        self.cell = np.broadcast_to(np.asarray(cell, np.float64), 2).copy()
-        self.corner = np.array(corner, np.float64)
+        self.cell = np.broadcast_to(numbers('cell', cell, (), (2,)), 2).copy()
+        self.corner = numbers('corner', corner, (2,))
         self.soil = Soil() if soil is None else soil
         self.walled = bool(walled)
         if not isinstance(self.soil, Soil):
             raise ValueError(f'soil is {soil!r}: lts.Soil(...) was expected')
-        if self._heights.ndim != 2 or not self._heights.size:
-            raise ValueError(f'heights have shape {self._heights.shape}, [nx, nz] was expected')
-        if not np.isfinite(self.heights).all():
-            place = tuple(np.argwhere(~np.isfinite(self.heights))[0].tolist())
-            raise ValueError(f'heights{list(place)} is {self.heights[place]}')
-        if not ((self.cell > 0) & np.isfinite(self.cell)).all():
-            raise ValueError(f'cell is {cell} m, must be positive')
-        if self.corner.shape != (2,) or not np.isfinite(self.corner).all():
-            raise ValueError(f'corner is {corner}, x and z in m were expected')
-        lowest = float(self.heights.min())
+        if not self._heights.size or not (self.cell > 0).all():
+            raise ValueError(f'{self.shape} cells of {cell} m: positive numbers were expected')
+        lowest = float(self._heights.min())
         self.floor = lowest - 1.0 if floor is None else float(floor)
         if not self.floor <= lowest:
             raise ValueError(f'the floor at {self.floor} m lies above heights of {lowest} m')
-
         self.cell.setflags(write=False)
         self.corner.setflags(write=False)
 
@@ -146,11 +138,10 @@ class Terrain:
     @classmethod
     def flat(cls, size, height=0.0, cell=CELL, corner=(0.0, 0.0), **more):
         """A level terrain of a size [2] along x and z, m; see the class for the rest."""
-        sides = np.broadcast_to(np.asarray(cell, np.float64), 2)
-        size = np.asarray(size, np.float64)
-        if size.shape != (2,) or not ((size > 0) & np.isfinite(size)).all():
-            raise ValueError(f'size is {size}, two positive lengths in m were expected')
-        counts = np.maximum(np.rint(size / sides), 1).astype(int)
+        size = numbers('size', size, (2,))
+        if not (size > 0).all():
+            raise ValueError(f'size is {size} m, must be positive')
+        counts = np.maximum(np.rint(size / cell), 1).astype(int)
         return cls(np.full(counts, float(height)), cell, corner, **more)
 
     def clone(self, soil: Soil | None = None) -> 'Terrain':
@@ -172,11 +163,8 @@ class Terrain:
         terrain."""
         arrays = files.read_npz(path)
         try:
+            heights, cell, corner = (arrays[name] for name in ('heights', 'cell', 'corner'))
             soil = Soil(*map(float, arrays['soil']))
-            heights, cell, corner = (
-                arrays[name].astype(np.float64, casting='same_kind')
-                for name in ('heights', 'cell', 'corner')
-            )
             floor, walled = float(arrays['floor']), bool(arrays['walled'])
             return cls(heights, cell, corner, soil, floor, walled)
         except (KeyError, TypeError, ValueError) as error:

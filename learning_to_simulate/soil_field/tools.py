@@ -1,13 +1,9 @@
 """Tools of a soil field, their scale, and soils.
 
-Dry soil that hardly knows rates has no length of its own: a scene of another size, density or
-gravity is the same scene in other units (`mpm/README.md` says how far, of the solver).
-So a field works in the units of a tool: lengths in `scale` m, forces in rho g scale^3 of the
-standard soil, times in the root of scale over g. A blade's scale is 1 as long as its width lies
-within those taught, else the factor that brings it there; a wheel's is its radius over 0.1 m.
-
-Only the stiffness of grains keeps soil from that: where rho g scale is large against it, a tool
-sinks farther before the soil yields. Its load knows the logarithm of rho g scale (`stress`).
+A field works in the units of a tool (Scale in docs/soil_field.md): lengths in `scale` m, forces in
+rho g scale^3 of the standard soil, times in the root of scale over g. A blade's scale is 1 as long
+as its width lies within those taught, else the factor that brings it there; a wheel's is its radius
+over 0.1 m. `stress` is the logarithm of rho g scale.
 """
 
 import abc
@@ -45,11 +41,8 @@ class Soil:
     gravity: float = STANDARD_GRAVITY
 
     def __post_init__(self):
-        if not 0 < self.friction_angle_deg < 90:
-            raise ValueError(
-                f'friction_angle_deg is {self.friction_angle_deg}, must lie in (0, 90)'
-            )
-        _check_positive(self, 'density', 'gravity')
+        _check(self, ('friction_angle_deg',), 'lie in (0, 90)', lambda value: 0 < value < 90)
+        _check(self, ('density', 'gravity'))
 
     @property
     def friction(self) -> float:
@@ -89,7 +82,7 @@ class Tool(abc.ABC):
     renewed_after: ClassVar[float]
 
     def __post_init__(self):
-        _check_positive(self, 'width', 'radius')
+        _check(self, ('width', 'radius'))
 
     @property
     @abc.abstractmethod
@@ -151,10 +144,8 @@ class Blade(Tool):
 
     def __post_init__(self):
         super().__post_init__()
-        _check_positive(self, 'length')
-        for name in ('bucket', 'plates'):
-            if getattr(self, name) not in (0, 1):
-                raise ValueError(f'Blade.{name} must be 0 or 1, got {getattr(self, name)}')
+        _check(self, ('length',))
+        _check(self, ('bucket', 'plates'), 'be 0 or 1', lambda value: value in (0, 1))
 
     @property
     def scale(self):
@@ -209,9 +200,7 @@ class Wheel(Tool):
 
     def __post_init__(self):
         super().__post_init__()
-        for name in ('lugs', 'lug_height'):
-            if not 0 <= getattr(self, name) < np.inf:
-                raise ValueError(f'Wheel.{name} must not be negative, got {getattr(self, name)}')
+        _check(self, ('lugs', 'lug_height'), 'not be negative', lambda value: 0 <= value < np.inf)
 
     @property
     def scale(self):
@@ -233,8 +222,8 @@ class Wheel(Tool):
 TOOLS = {tool.name: tool for tool in (Blade, Wheel)}
 
 
-def _check_positive(owner, *names):
+def _check(owner, names, must='be positive', is_right=lambda value: 0 < value < np.inf):
     for name in names:
         value = getattr(owner, name)
-        if not (isinstance(value, numbers.Real) and 0 < value < np.inf):
-            raise ValueError(f'{type(owner).__name__}.{name} must be positive, got {value!r}')
+        if not (isinstance(value, numbers.Real) and is_right(value)):
+            raise ValueError(f'{type(owner).__name__}.{name} must {must}, got {value!r}')

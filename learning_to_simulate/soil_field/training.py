@@ -4,6 +4,7 @@ Every draw of a step is a function of (seed, step); places of samples are one of
 Losses are (16) and (17) of docs/soil_field.md.
 """
 
+import functools
 import zlib
 
 import numpy as np
@@ -60,11 +61,8 @@ def make_field(
         hidden = known.hidden
     networks = network.SoilNetworks(tool, config.members, config.seed, hidden)
     if first is not None:
-        for name in network.HIDDEN:
-            variables = getattr(networks, name).trainable_variables
-            known_ones = getattr(first.networks, name).trainable_variables
-            for variable, value in zip(variables, known_ones, strict=True):
-                variable.assign(value)
+        for variable, value in zip(networks.variables, first.networks.variables, strict=True):
+            variable.assign(value)
     return SoilField(config, networks)
 
 
@@ -145,22 +143,19 @@ def fit(field: SoilField, pools: dict[str, list], progress=True, saved=None, hel
     """
     networks, config = field.networks, field.config
 
-    def load_of(inputs, target):
-        """The shares of a wheel are learned of what it bears, not of what it seems to bear."""
+    def predicted(name, inputs, target):
+        if name != 'load':
+            return networks.moved_of(name, *inputs)
+        # The shares of a wheel are learned of what it bears, not of what it seems to bear.
         return networks.load_of(*inputs, borne=target[:, 1] if networks.tool.bears else None)
 
     components = tf.constant(COMPONENTS[networks.tool.name], tf.float32) / network.FORCE
-    scales = {'load': components, 'surface': 1 / network.LENGTH, 'soil': 1 / network.LENGTH}
-    calls = {
-        'load': load_of,
-        'surface': lambda inputs, _: networks.rise_of(*inputs),
-        'soil': lambda inputs, _: networks.displacement_of(*inputs),
-    }
     losses = {}
     for name, parts in pools.items():
         if not parts:
             continue
-        part, how = getattr(networks, name), (calls[name], scales[name])
+        part, scale = getattr(networks, name), components if name == 'load' else 1 / network.LENGTH
+        how = functools.partial(predicted, name), scale
         first = [value.numpy() for value in part.trainable_variables]
         others = held[name] if held else []
         before = loss_of(*how, others)

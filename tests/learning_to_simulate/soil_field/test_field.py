@@ -64,36 +64,6 @@ def test_weights_that_are_not_finite_are_not_saved(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_frames_outside_of_training_are_named():
-    field = worlds.trained()[0]
-    frames = samples.episode_of(worlds.run(3)).frames
-    names = list(field_lib.CONDITIONS)
-    assert not field.limits.outside(field.judged(frames)).any()
-
-    def reason(conditions=(), **changes):
-        scalars, given = frames.scalars.copy(), np.zeros((len(frames.scalars), len(names)))
-        for name, value in changes.items():
-            scalars[..., field.networks.scalars[name]] = value
-        for name, value in dict(conditions).items():
-            given[:, names.index(name)] = value
-        values = field.judged(frames._replace(scalars=scalars), given)
-        return field.limits.judge(values).reason
-
-    wrong = {'yaw': 0.1, 'roll': -0.2, 'aside': 0.05, 'beyond_map': 0.03, 'thin_soil': 0.01,
-             'other_tool': 0.02, 'cell': 0.05, 'crossfall': 0.005, 'slope': -0.1,
-             'turning': 0.6, 'leans': -0.1, 'wall_beside': 0.01}  # fmt: skip
-    assert wrong.keys() == field_lib.CONDITIONS.keys()
-    for name, value in wrong.items():
-        assert reason({name: value}).startswith(f'{name} {value} is outside')
-    assert 'lean 1.2' in reason(lean=1.2)
-    assert 'depth' in reason(height=-0.2) and 'speed 9' in reason(speed=9.0)
-    assert 'friction 0.5' in reason(friction=0.5)
-    # In the air all is free but soil and tool.
-    high = {'height': 0.5, 'area': 0.0}
-    assert not reason(dict.fromkeys(names, 1.0), **high, lean=1.2, speed=9.0)
-    assert 'half_width' in reason(**high, half_width=0.4)
-
-
 def test_maps_may_be_as_coarse_as_those_of_the_tool_that_was_taught():
     # The smallest wheel of the data, of 50 mm, is 4 times smaller than that of the field, and its
     # map has cells of 13 mm.

@@ -48,7 +48,7 @@ class Springs:
 REST = poses([[0.0, 0.0, 0.0]])[0]
 
 
-def test_nothing_below_it_lets_it_fall():
+def test_it_falls_to_the_floor_where_no_soil_bears_it():
     soil = Springs()
     tool = LoadedTool(soil, MASS)
     for _ in range(25):
@@ -56,16 +56,13 @@ def test_nothing_below_it_lets_it_fall():
     # Backward Euler: the mean of a step is its end.
     assert soil.coordinates[1] == pytest.approx(-G * DT**2 * 25 * 26 / 2, abs=1e-6)
     assert tool.velocity == pytest.approx([0.0, -G * DT * 25, 0.0], abs=1e-3)
-
-
-@pytest.mark.parametrize('dt', [0.001, 0.004, 0.016])
-def test_it_comes_to_rest_where_soil_carries_it(dt):
-    soil = Springs(np.diag([0.0, 2e5, 0.0]))
-    tool = LoadedTool(soil, MASS, damping=(0.0, 2e3, 0.0))
-    for _ in range(int(1.0 / dt)):
-        frame = tool.step(REST, dt=dt)
-    assert soil.coordinates[1] == pytest.approx(-MASS * G / 2e5, abs=2e-7)
-    assert frame.force[1] == pytest.approx(MASS * G, rel=1e-3)
+    for _ in range(100):
+        tool.step(REST, dt=DT)
+    assert soil.coordinates[1] == pytest.approx(-0.9 + ABOVE_FLOOR) and tool.velocity[1] == 0
+    tool.step(REST, (0.0, 2 * MASS * G, 0.0), dt=DT)
+    assert soil.coordinates[1] > -0.9 + 2 * ABOVE_FLOOR
+    tool.step(REST, (0.0, -9 * MASS * G, 0.0), dt=DT)  # it still rises; and is pressed back
+    assert soil.coordinates[1] == pytest.approx(-0.9 + ABOVE_FLOOR)
 
 
 def test_coupled_coordinates_solve_the_whole_system():
@@ -175,18 +172,6 @@ def test_what_the_machine_holds_is_not_damped():
         assert damping.coefficient == pytest.approx(share * critical)
     damping.press(20.0, -5.0)  # pulled up
     assert damping.coefficient == 0.0
-
-
-def test_it_rests_on_the_floor_where_no_soil_bears_it():
-    soil = Springs()
-    tool = LoadedTool(soil, MASS)
-    for _ in range(150):  # 1 m of fall would take 110
-        tool.step(REST, dt=DT)
-    assert soil.coordinates[1] == pytest.approx(-0.9 + ABOVE_FLOOR) and tool.velocity[1] == 0
-    tool.step(REST, (0.0, 2 * MASS * G, 0.0), dt=DT)
-    assert soil.coordinates[1] > -0.9 + 2 * ABOVE_FLOOR
-    tool.step(REST, (0.0, -9 * MASS * G, 0.0), dt=DT)  # it still rises; and is pressed back
-    assert soil.coordinates[1] == pytest.approx(-0.9 + ABOVE_FLOOR)
 
 
 @pytest.mark.parametrize(

@@ -50,14 +50,25 @@ def test_targets_are_what_the_run_shows():
     assert moved.any() and not moved.all() and (soil.weight > 0).all()
 
 
+def test_particles_are_taken_until_the_passage_is_renewed(monkeypatch):
+    run = worlds.run(2)
+    field = training.make_field(worlds.CONFIG, 'blade', worlds.SMALL)
+    monkeypatch.setattr(type(worlds.TOOL), 'renewed_after', 0.12)
+    passages = [passage for _, passage in samples.walk(run, 0)]
+    assert passages[0].state.origin == 0.0  # its bins had not moved on yet
+    assert passages[15] is passages[0] and passages[16] is not passages[0]
+    part = samples.soil_part(field.networks, run, np.random.default_rng(0))
+    assert 0 < len(part.target) <= 48  # of frame 8 alone
+
+
 def test_a_walk_sees_the_terrain_as_it_was_recorded():
     run = worlds.run(4)
-    walk = samples.Walk(run, start=24, set_down=False)
-    assert (walk.passage.terrain.heights == run.heights[6]).all()
-    assert (walk.passage.state.surface == walk.passage.state.profile).all()
-    for _ in range(5):
-        walk.go_on()
-    assert walk.frame_number == 29 and (walk.passage.terrain.heights == run.heights[7]).all()
+    steps = samples.walk(run, 24)
+    t, passage = next(steps)
+    assert t == 24 and (passage.terrain.heights == run.heights[6]).all()
+    assert (passage.state.surface == passage.state.profile).all()
+    t = [next(steps)[0] for _ in range(5)][-1]
+    assert t == 29 and (passage.terrain.heights == run.heights[7]).all()
 
 
 def test_an_episode_from_the_middle_of_a_run():

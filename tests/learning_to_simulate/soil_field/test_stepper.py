@@ -16,16 +16,19 @@ def stepper(terrain=None, **more):
     return SoilStepper(worlds.trained()[0], terrain, worlds.TOOL, **more)
 
 
-def test_soil_rests_no_steeper_than_its_angle_of_repose_where_the_tool_has_gone():
+@pytest.mark.parametrize('engine', ['best', 'tensorflow'])
+def test_soil_rests_no_steeper_than_its_angle_of_repose_where_the_tool_has_gone(engine):
     ground = Terrain.flat((3.0, 2.0), corner=(-2.5, -1.0))
-    tool = stepper(ground)
+    tool = stepper(ground, engine=engine)
     tool.start(poses([[0.0, 0.1, 0.1]])[0])
     for u in np.arange(0.0, 1.5, 0.05):
         tool.step(poses([[u, -0.04, 0.1]])[0], 0.1)
-    steep, litres = np.abs(np.diff(ground.heights, axis=1)).max(), ground.heights.sum()
+    steep, litres = np.abs(np.diff(ground.heights, axis=1)), ground.heights.sum()
+    behind = ground.middles[0] > -0.4  # the bins have left it
+    assert steep[behind].max() / 0.02 < ground.soil.friction + 0.005 < steep.max() / 0.02
     tool.start(poses([[1.5, 0.3, 0.1]])[0])
     slope = np.abs(np.diff(ground.heights, axis=1)).max() / 0.02
-    assert slope < ground.soil.friction + 0.005 < steep / 0.02
+    assert slope < ground.soil.friction + 0.005
     assert ground.heights.sum() == pytest.approx(litres, abs=1e-9)
 
 

@@ -85,8 +85,9 @@ def memory(motions):
 
 def test_a_sweep_is_that_of_a_circle_drawn_along_the_path():
     states, wanted = run(PATH, TURN)[1:], drawn(PATH, TURN)
-    for state, want in zip(states, wanted, strict=True):
-        bins, own = sweep.channels(state, 0.0), sweep.scalars(state, 0.0)
+    for state, want, pose in zip(states, wanted, PATH[1:], strict=True):
+        bins, own = sweep.channels(state, 0.1), sweep.scalars(state, 0.1)
+        np.testing.assert_allclose(bins[..., sweep.SURFACE], state.surface - 0.1, atol=1e-7)
         # Where the circle stands upright at the end of a swath, the drawn one misses by a step.
         wrong = np.abs(state.profile - want['profile'])
         assert np.sort(wrong, axis=1)[:, -5].max() < 1e-5
@@ -101,7 +102,9 @@ def test_a_sweep_is_that_of_a_circle_drawn_along_the_path():
             bound = 2e-5 if name != 'since' else 2e-5 + wrong[close].max() / 0.002
             np.testing.assert_allclose(found[close], want[name][close], atol=bound)
         np.testing.assert_allclose(sweep.layer(state, STRIKES), want['layer'], atol=5e-5)
-        seen = dict(zip(sweep.SCALARS, own.T))
+        seen = dict(zip(sweep.SCALARS, own.T, strict=True))
+        place = np.stack([seen[name] for name in ('tip', 'height', 'lean')], axis=1)
+        np.testing.assert_allclose(place, [pose - [PATH[0, 0], 0.1, 0.0]] * 2, atol=1e-6)
         assert seen['way'] == pytest.approx(want['way'], rel=1e-6)
         assert seen['speed'] == pytest.approx(want['speed'], rel=1e-6)
         np.testing.assert_allclose(seen['foremost'], want['foremost'] - PATH[0, 0], atol=1e-6)
@@ -125,19 +128,6 @@ def test_a_tool_that_touches_the_soil_takes_its_foremost_place_along_without_a_j
     assert foremost(1e-6) == pytest.approx(5e-5, rel=1e-6)
     assert foremost(5e-5) == pytest.approx(2.5e-3, rel=1e-6)
     assert foremost(1e-4 + 1e-9) == foremost(0.01) == 0.005
-
-
-def test_scalars_and_channels_have_their_names():
-    state = run(PATH[:8], TURN[:7])[-1]
-    own, bins = sweep.scalars(state, 0.1), sweep.channels(state, 0.1)
-    seen = dict(zip(sweep.SCALARS, own.T, strict=True))
-    np.testing.assert_allclose(seen['tip'], 0.268, atol=1e-6)
-    np.testing.assert_allclose(seen['height'], -0.04, atol=1e-6)
-    np.testing.assert_allclose(seen['lean'], 0.3, atol=1e-6)
-    # Upwards at last, without a turn.
-    assert seen['up_0'] == pytest.approx(0.985, abs=2e-3) and not seen['turn_0'].round(6).any()
-    assert seen['along_3'][0] > seen['along_0'][0]
-    np.testing.assert_allclose(bins[..., sweep.SURFACE], state.surface - 0.1, atol=1e-7)
 
 
 @pytest.mark.parametrize('lean_deg', [1.0, 30.0, 59.0, 88.0])

@@ -18,24 +18,21 @@ def rough(shape=(7, 5), **more):
     return Terrain(RNG.normal(size=shape), (0.1, 0.2), (-0.3, 1.0), **more)
 
 
-def test_heights_between_cells_are_those_of_scipy():
-    terrain = rough()
+@pytest.mark.parametrize('shape', [(7, 5), (1, 1), (1, 4), (4, 1)])
+def test_heights_between_cells_are_those_of_scipy_and_beyond_the_map_its_border_goes_on(shape):
+    terrain = rough(shape)
     x, z = terrain.middles
-    np.testing.assert_allclose([x[0], z[0], x[-1], z[-1]], [-0.25, 1.1, 0.35, 1.9])
-    points = RNG.uniform((x[0], z[0]), (x[-1], z[-1]), (50, 2))
-    wanted = RegularGridInterpolator((x, z), terrain.heights)(points)
+    np.testing.assert_allclose([x[0], z[0]], [-0.25, 1.1])
+    np.testing.assert_allclose(
+        [x[-1], z[-1]], terrain.corner + [0.1, 0.2] * (np.array(shape) - 0.5)
+    )
+    points = RNG.uniform(-3, 3, (60, 2))
+    inside = np.clip(points, (x[0], z[0]), (x[-1], z[-1]))
+    # One more cell that nothing asks for, where scipy needs two.
+    wide = np.pad(terrain.heights, ((0, 1), (0, 1)), mode='edge')
+    grid = np.append(x, x[-1] + 1), np.append(z, z[-1] + 1)
+    wanted = RegularGridInterpolator(grid, wide)(inside)
     np.testing.assert_allclose(terrain.at(*points.T), wanted, atol=1e-13)
-
-
-def test_beyond_the_map_its_border_goes_on():
-    for shape in ((7, 5), (1, 1), (1, 4), (4, 1)):
-        terrain = rough(shape)
-        x, z = terrain.middles
-        points = RNG.uniform(-3, 3, (60, 2))
-        inside = np.clip(points, (x[0], z[0]), (x[-1], z[-1]))
-        np.testing.assert_allclose(terrain.at(*points.T), terrain.at(*inside.T), atol=1e-13)
-        found = terrain.at(x[:, None] + 0 * z, z + 0 * x[:, None])
-        np.testing.assert_allclose(found, terrain.heights, atol=1e-14)
 
 
 def test_a_copy_and_a_file_hold_everything(tmp_path):
@@ -119,8 +116,7 @@ def steepest(terrain):
     return max(np.abs(p).max() for p in pairs)
 
 
-@pytest.mark.parametrize('angle', [25.0, 37.0])
-@pytest.mark.parametrize('cell', [(0.02, 0.02), (0.01, 0.02)])
+@pytest.mark.parametrize('angle, cell', [(25.0, (0.02, 0.02)), (37.0, (0.01, 0.02))])
 def test_steep_soil_slides_to_its_angle_of_repose_and_none_is_lost(angle, cell):
     terrain = Terrain.flat((0.5, 0.6), cell=cell, soil=Soil(angle))
     terrain.heights[10:20, 8:14] = 0.05
@@ -153,9 +149,8 @@ def test_what_is_not_steep_or_is_kept_does_not_slide():
     terrain.settle([])
 
 
-@pytest.mark.parametrize('yaw', [0.0, 0.5, np.pi / 2, 2.2, -2.0, -0.3])
-@pytest.mark.parametrize('u', [-0.2, 0.0, 0.15])
-def test_a_wall_is_where_a_walk_leaves_the_map(yaw, u):
+@pytest.mark.parametrize('yaw', [0.0, 0.5, np.pi / 2, 2.2])
+def test_a_wall_is_where_a_walk_leaves_the_map(yaw, u=0.15):
     terrain = Terrain.flat((1.0, 0.6), corner=(-0.4, -0.2), walled=True)
     place = place_of(scenes.poses([[0.0, 0.0, 0.0]], yaw, (0.05, 0.3, 0.06))[0])
     for way in (1, -1):
@@ -182,14 +177,13 @@ def test_only_heights_of_a_terrain_change():
 @pytest.mark.parametrize(
     'arguments, message',
     [
-        ((np.zeros(3),), 'shape'),
-        ((np.zeros((0, 3)),), 'shape'),
-        (([[0.0, np.nan]],), r'heights\[0, 1\]'),
-        ((np.zeros((2, 2)), 0.0), 'cell'),
+        ((np.zeros(3),), 'heights has shape'),
+        ((np.zeros((0, 3)),), r'\(0, 3\) cells'),
+        (([[0.0, np.nan]],), r'heights holds nan at \(0, 1\)'),
+        ((np.zeros((2, 2)), 0.0), 'cells of 0.0 m'),
         ((np.zeros((2, 2)), (0.1, np.inf)), 'cell'),
-        ((np.zeros((2, 2)), 0.1, (0.0, np.nan)), 'corner'),
         ((np.zeros((2, 2)), 0.1, (0.0, 0.0, 0.0)), 'corner'),
-        ((np.zeros((2, 2)), 0.1, (0.0, 0.0), None, 0.1), 'floor'),
+        ((np.zeros((2, 2)), 0.1, (0.0, 0.0), None, 0.1), 'floor at 0.1 m'),
         ((np.zeros((2, 2)), 0.1, (0.0, 0.0), None, np.nan), 'floor'),
         ((np.zeros((2, 2)), 0.1, (0.0, 0.0), 'sand'), r"soil is 'sand': lts.Soil"),
         ((np.full((2, 2), 1 + 1j),), 'complex'),
@@ -200,7 +194,7 @@ def test_what_is_no_terrain_is_refused(arguments, message):
         Terrain(*arguments)
 
 
-@pytest.mark.parametrize('size', [(1.0, 0.0), (np.inf, 1.0), (1.0,), 2.0])
+@pytest.mark.parametrize('size', [(1.0, 0.0), (np.inf, 1.0), 2.0])
 def test_sizes_that_no_terrain_has_are_refused(size):
     with pytest.raises(ValueError, match='size'):
         Terrain.flat(size)
