@@ -204,14 +204,3 @@ class CSubspace(Instance):
         other = type(self)(self.loaded)
         other.call('clone', (self._before if self._is_proposed and self._before else self).soil)
         return other
-
-    def save(self) -> bytes:
-        """The state, for `load_state`."""
-        state = ctypes.create_string_buffer(self.function('state_size')(self.loaded.model))
-        self.call('save', state, len(state))
-        return state.raw
-
-    def load_state(self, state: bytes) -> None:
-        """Goes back to a saved state; what follows is the same bit by bit. ValueError for damaged
-        bytes, or those of another model: the state stays as it was."""
-        self.call('load', state, len(state))

@@ -17,8 +17,7 @@ from xml.etree import ElementTree
 from learning_to_simulate.native import library, project
 from learning_to_simulate.soil_field.tools import TOOLS, Soil
 
-# Places at which heights are told, along and across (fmu_core.h), and what the terrain is at first,
-# m.
+# Places at which heights are told, along and across (fmu.c), and what the terrain is at first, m.
 HEIGHTS = (9, 5)
 TERRAIN: dict = {'size': (4.0, 2.0), 'cell': 0.02, 'height': 0.0, 'depth': 1.0, 'grid': 0.1}
 STEP = 0.01  # s, step of the default experiment
@@ -33,6 +32,7 @@ class Variable(NamedTuple):
     causality: str
     text: str
     start: float | str | None = None
+    kind: str = 'Real'
 
 
 class Layout(NamedTuple):
@@ -40,52 +40,21 @@ class Layout(NamedTuple):
 
     Attributes:
       body: what its variables call the body.
-      reals, integers, booleans, strings: variables by value reference.
+      variables: value reference of each, and what it is.
       lines: of fmu_model.h, with first value and kind of each real.
     """
 
     body: str
-    reals: dict[int, Variable]
-    integers: list[Variable]
-    booleans: list[Variable]
-    strings: list[Variable]
+    variables: list[tuple[int, Variable]]
     lines: list[str]
-
-
-def _inputs(state, place, point, attitude):
-    return [
-        *(Variable(f'{state}.pos.{a}', 'm', 'input', f'reference point: {point}', v)
-          for a, v in zip('xyz', place, strict=True)),
-        *(Variable(f'{state}.rot.e{i}', None, 'input', attitude, float(i == 0)) for i in range(4)),
-        *_vector(f'{state}.lin_vel', 'm/s', 'input', 'of the reference point', 0.0),
-        *_vector(f'{state}.ang_vel', 'rad/s', 'input', 'in the world frame', 0.0),
-    ]  # fmt: skip
-
-
-def _load(load, moment):
-    return [
-        *_vector(f'{load}.point', 'm', 'output', 'where the load is applied'),
-        *_vector(f'{load}.force', 'N', 'output', 'of the soil on the body'),
-        *_vector(f'{load}.moment', 'N.m', 'output', moment),
-    ]
 
 
 def _vector(name, *rest):
     return [Variable(f'{name}.{axis}', *rest) for axis in 'xyz']
 
 
-# Causality -> kind in fmu_core.h.
-_KINDS = {
-    'input': 'FMU_INPUT', 'output': 'FMU_OUTPUT', 'local': 'FMU_OUTPUT',
-    'parameter': 'FMU_PARAMETER', 'constant': 'FMU_CONSTANT',
-}  # fmt: skip
-
-
-def _digest(values):
-    text = 'sha256 of the numbers of the model'
-    return Variable('digest', None, 'constant', text, values['digest'])
-
-
+# Causality -> kind of a real in fmu.c.
+_KINDS = {'input': 'FMU_INPUT', 'output': 'FMU_OUTPUT', 'parameter': 'FMU_PARAMETER'}
 _SHAPE = {
     'width': ('m', 'across the way'),
     'radius': ('m', 'of the lower edge, or of the rim between grousers'),
@@ -108,48 +77,61 @@ def layout_of(values: dict, tools: int = 1) -> Layout:
     """The layout of `soil_data.values` with a number of tools; ValueError for another number."""
     if not 1 <= tools <= 16:
         raise ValueError(f'tools is {tools}: 1 to 16 tools can work on the terrain of an FMU')
-    c = library.constants()
-    name = 'wheel' if values['kind'] == c['LTS_SOIL_WHEEL'] else 'blade'
-    body, tool = 'tool' if name == 'blade' else 'wheel', TOOLS[name]()
+    is_wheel = values['kind'] == library.constants()['LTS_SOIL_WHEEL']
+    body, tool = ('wheel', TOOLS['wheel']()) if is_wheel else ('tool', TOOLS['blade']())
     reals: dict[int, Variable] = {}
-    integers, booleans, strings = [], [], [_digest(values)]
+    digest = 'sha256 of the numbers of the model'
+    integers, booleans = [], []
+    strings = [Variable('digest', None, 'constant', digest, values['digest'], 'String')]
     (length, across), count = TERRAIN['size'], 0
+    names = enumerate(values['judged_names'].split(','), 1)
+    measures = ', '.join(f'{number} {name}' for number, name in names)
+    reason = f'what first left its range since the start: {measures}; 0 nothing, -1 not finite'
     for k in range(tools):
         place = (0.75 * length, tool.radius + 0.05, across * (k + 0.5) / tools)
         index = f'[{k + 1}]' if tools > 1 else ''
-        known = _of_tool(name, body, index, place, tool)
-        reals |= {count + at: variable for at, variable in known.items()}
+        for at, variable in enumerate(_of_tool(body, index, place, tool), count):
+            if variable is not None:
+                reals[at] = variable
         count += N_OF_TOOL
-        measures = ', '.join(
-            f'{i + 1} {n}' for i, n in enumerate(values['judged_names'].split(','))
-        )
-        text = f'what first left its range since the start: {measures}; 0 nothing, -1 not finite'
-        integers.append(Variable(f'status{index}.reason', None, 'output', text))
-        strings.append(Variable(f'status{index}.text', None, 'output', 'the same in words'))
+        status = f'status{index}.'
+        integers.append(Variable(f'{status}reason', None, 'output', reason, kind='Integer'))
         booleans += [
-            Variable(f'status{index}.{label}', None, 'output', text)
+            Variable(status + label, None, 'output', text, kind='Boolean')
             for label, text in _BOOLEANS.items()
         ]
+        in_words = 'the same in words'
+        strings.append(Variable(f'{status}text', None, 'output', in_words, kind='String'))
     ground = _ground()
     reals |= dict(enumerate(ground, count))
-    return Layout(
-        body, reals, integers, booleans, strings,
-        [f'#define FMU_TOOLS {tools}', f'#define FMU_STEP {STEP!r}',
-         *_table(reals, count + len(ground))],
-    )  # fmt: skip
+    rows = [reals.get(at) for at in range(count + len(ground))]
+    first = (float(row.start) if row and row.start is not None else 0.0 for row in rows)
+    kinds = (_KINDS[row.causality] if row else 'FMU_NONE' for row in rows)
+    tables = {'FIRST': first, 'KINDS': kinds}
+    lines = [f'#define FMU_{n} {{{", ".join(map(str, table))}}}' for n, table in tables.items()]
+    lines = [f'#define FMU_TOOLS {tools}', f'#define FMU_STEP {STEP!r}', *lines]
+    others = [numbered for some in (integers, booleans, strings) for numbered in enumerate(some)]
+    return Layout(body, [*reals.items(), *others], lines)
 
 
-N_OF_TOOL = 31 + HEIGHTS[0] * HEIGHTS[1] + len(_SHAPE)  # VR_TOOL of fmu_core.h
+N_OF_TOOL = 31 + HEIGHTS[0] * HEIGHTS[1] + len(_SHAPE)  # VR_TOOL of fmu.c
 
 
-def _of_tool(name, body, index, place, tool):
-    """Value reference within a tool -> variable."""
+def _of_tool(body, index, place, tool):
+    """Variables by value reference within a tool; None where there is none."""
     state, load = f'{body}_state{index}', f'{body}_load{index}'
-    point = 'the middle of the lower edge' if name == 'blade' else 'the middle of the axle'
+    point = 'reference point: the middle of the ' + ('lower edge' if body == 'tool' else 'axle')
+    attitude = 'rotation from upright, looking along -x'
     spread = 'standard deviation over the networks of the model'
-    found = [
-        *_inputs(state, place, point, 'rotation from upright, looking along -x'),
-        *_load(load, 'about the point'),
+    return [
+        *(Variable(f'{state}.pos.{axis}', 'm', 'input', point, start)
+          for axis, start in zip('xyz', place, strict=True)),
+        *(Variable(f'{state}.rot.e{i}', None, 'input', attitude, float(i == 0)) for i in range(4)),
+        *_vector(f'{state}.lin_vel', 'm/s', 'input', 'of the reference point', 0.0),
+        *_vector(f'{state}.ang_vel', 'rad/s', 'input', 'in the world frame', 0.0),
+        *_vector(f'{load}.point', 'm', 'output', 'where the load is applied'),
+        *_vector(f'{load}.force', 'N', 'output', 'of the soil on the body'),
+        *_vector(f'{load}.moment', 'N.m', 'output', 'about the point'),
         *(Variable(f'{load}.{part}_spread.{way}', unit, 'output', spread)
           for part, unit in (('force', 'N'), ('moment', 'N.m')) for way in _SPREADS),
         Variable(f'force_bound{index}', 'N', 'output',
@@ -164,7 +146,6 @@ def _of_tool(name, body, index, place, tool):
         *(Variable(f'{body}{index}.{part}', unit, 'parameter', text, float(getattr(tool, part)))
           if hasattr(tool, part) else None for part, (unit, text) in _SHAPE.items()),
     ]  # fmt: skip
-    return {at: variable for at, variable in enumerate(found) if variable is not None}
 
 
 def _ground():
@@ -186,17 +167,6 @@ def _ground():
     ]
 
 
-def _table(reals: dict[int, Variable], count: int) -> list[str]:
-    """Lines of fmu_model.h: first value and kind of each real; 0 where there is none."""
-    rows = [reals.get(at) for at in range(count)]
-    first = (float(r.start) if r and r.start is not None else 0.0 for r in rows)
-    kinds = (_KINDS[r.causality] if r else 'FMU_NONE' for r in rows)
-    return [
-        f'#define FMU_{name} {{{", ".join(map(str, values))}}}'
-        for name, values in (('FIRST', first), ('KINDS', kinds))
-    ]
-
-
 # ---- the files ----
 
 _DATE = (1980, 1, 1, 0, 0, 0)  # of every file: equal models give equal FMUs
@@ -211,7 +181,6 @@ _UNITS = {
     'rad/s': {'rad': '1', 's': '-1'},
     'N': {'kg': '1', 'm': '1', 's': '-2'},
     'N.m': {'kg': '1', 'm': '2', 's': '-2'},
-    's': {'s': '1'},
     'deg': {'rad': '1', 'factor': repr(math.pi / 180)},
     'kg/m3': {'kg': '1', 'm': '-3'},
     'm/s2': {'m': '1', 's': '-2'},
@@ -219,13 +188,11 @@ _UNITS = {
 _LOG_CATEGORIES = {
     'logStatusWarning': 'when the model is used outside its training runs',
     'logStatusError': 'refused input and failed steps',
-    'logEvents': 'unused',
 }
 _CALCULATED = {'variability': 'discrete', 'initial': 'calculated'}
 _CAUSALITIES = {
     'input': {'causality': 'input', 'variability': 'continuous'},
     'output': {'causality': 'output', **_CALCULATED},
-    'local': {'causality': 'local', **_CALCULATED},
     'constant': {'causality': 'local', 'variability': 'constant', 'initial': 'exact'},
     'parameter': {'causality': 'parameter', 'variability': 'fixed', 'initial': 'exact'},
 }
@@ -261,27 +228,20 @@ def description(name: str, values: dict, layout: Layout, sources) -> bytes:
         sub(categories, 'Category', name=category, description=text)
     sub(root, 'DefaultExperiment', startTime='0', stopTime='1', stepSize=repr(STEP))
     outputs, variables = [], sub(root, 'ModelVariables')
-
-    def scalar(vr, kind, variable):
+    for vr, variable in layout.variables:
         attributes = {
             'name': variable.name, 'valueReference': str(vr), 'description': variable.text
         }  # fmt: skip
         attributes |= _CAUSALITIES[variable.causality]
-        if kind == 'Real' and variable.causality == 'output':
+        if variable.kind == 'Real' and variable.causality == 'output':
             attributes['variability'] = 'continuous'
         found = sub(variables, 'ScalarVariable', **attributes)
         more = {} if variable.unit is None else {'unit': variable.unit}
         if (start := variable.start) is not None:
             more['start'] = start if isinstance(start, str) else repr(start)
-        sub(found, kind, **more)
+        sub(found, variable.kind, **more)
         if variable.causality == 'output':
             outputs.append(str(len(variables)))
-
-    for vr, variable in layout.reals.items():
-        scalar(vr, 'Real', variable)
-    for kind in ('Integer', 'Boolean', 'String'):
-        for vr, variable in enumerate(getattr(layout, f'{kind.lower()}s')):
-            scalar(vr, kind, variable)
     structure = sub(root, 'ModelStructure')
     for part in ('Outputs', 'InitialUnknowns'):
         parent = sub(structure, part)
@@ -302,7 +262,9 @@ def write(path: str, name: str, values: dict, tools: int = 1) -> None:
     with tempfile.TemporaryDirectory() as folder:
         sources = os.path.join(folder, 'sources')
         os.makedirs(sources)
-        _write_sources(sources, name, values, layout)
+        project.write_sources(sources, name, values)
+        project.copy('fmi/fmu.c', sources)
+        _write_header(sources, name, values, layout)
         names = sorted(file for file in os.listdir(sources) if file.endswith('.c'))
         with open(os.path.join(folder, 'modelDescription.xml'), 'wb') as out:
             out.write(description(name, values, layout, names))
@@ -320,14 +282,7 @@ def write(path: str, name: str, values: dict, tools: int = 1) -> None:
         _zip(folder, path)
 
 
-def _write_sources(folder, name, values, layout):
-    project.write_sources(folder, name, values)
-    parts = 'fmi/fmu_core.h', 'fmi/fmu_soil.c', 'fmi/fmi2.c'
-    for part in [*project.headers(values), *parts]:
-        project.copy(part, folder)
-    project.write_template(
-        'cmake/model.h.in', os.path.join(folder, f'{name}.h'), project.words(name, values)
-    )
+def _write_header(folder, name, values, layout):
     lines = [
         f'/* Generated: what the FMI layer must know of {name}. */',
         f'#include "{name}.h"',

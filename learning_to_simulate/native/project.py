@@ -11,23 +11,13 @@ from learning_to_simulate.native import c_values, library
 from learning_to_simulate.native.model_data import MOTIONS
 
 VERSION = '1.0.0'  # of the C interface; its first number is LTS_ABI
-# Template in c/ -> file of the project, of all models, of those in a subspace, of soil fields;
-# @NAME@ is the model's.
+# File of the project -> its template in c/, of models in a subspace and of soil fields.
 _TEMPLATES = {
-    'cmake/CMakeLists.txt.in': 'CMakeLists.txt',
-    'cmake/model.h.in': 'include/@NAME@.h',
-}
-_GRAPH_TEMPLATES = {
-    'cmake/README.md.in': 'README.md',
-    'examples/example.cpp.in': 'examples/example.cpp',
-    'examples/loop_1khz.c.in': 'examples/loop_1khz.c',
-    'examples/ros2_node.cpp.in': 'examples/ros2_node.cpp',
-}
-_SOIL_TEMPLATES = {
-    'cmake/README_soil.md.in': 'README.md',
-    'examples/soil.cpp.in': 'examples/example.cpp',
-    'examples/loop_soil.c.in': 'examples/loop_1khz.c',
-    'examples/ros2_soil.cpp.in': 'examples/ros2_node.cpp',
+    'CMakeLists.txt': ('cmake/CMakeLists.txt.in', 'cmake/CMakeLists.txt.in'),
+    'README.md': ('cmake/README.md.in', 'cmake/README_soil.md.in'),
+    'examples/example.cpp': ('examples/example.cpp.in', 'examples/soil.cpp.in'),
+    'examples/loop_1khz.c': ('examples/loop_1khz.c.in', 'examples/loop_soil.c.in'),
+    'examples/ros2_node.cpp': ('examples/ros2_node.cpp.in', 'examples/ros2_soil.cpp.in'),
 }
 # Sources of both kinds of models; those of soil fields alone begin with `lts_soil`.
 _SHARED = ('lts_common', 'lts_kernels', 'lts_model.')
@@ -60,29 +50,26 @@ def _library_names():
     return found
 
 
-def write_sources(folder: str, name: str, values: dict) -> None:
-    """The C files of a model of a name and of the library, in one folder that exists."""
+def write_sources(folder: str, name: str, values: dict, include: str | None = None) -> None:
+    """The C files of a model of a name and of the library into a folder, and the public headers
+    into another (None: the same); both exist."""
+    include = include or folder
     for part in sorted(os.listdir(os.path.join(library.SOURCES, 'src'))):
         if part.startswith(_SHARED) or part.startswith('lts_soil') == is_soil(values):
             copy(f'src/{part}', folder)
-    with open(os.path.join(folder, f'{name}.c'), 'w', encoding='utf-8') as file:
-        file.write(model_source(name, values))
-
-
-def headers(values: dict) -> list[str]:
-    """The public headers, in native/."""
-    return ['include/lts.h', *['include/lts_soil.h'] * is_soil(values)]
-
-
-def model_source(name: str, values: dict) -> str:
-    """The generated C file: weights, ranges, starts and subspace as constants."""
-    kind = words(name, values)['STRUCT']
-    return (
+    for header in ['lts.h', *['lts_soil.h'] * is_soil(values)]:
+        copy(f'include/{header}', include)
+    said = words(name, values)
+    write_template('cmake/model.h.in', os.path.join(include, f'{name}.h'), said)
+    kind = said['STRUCT']
+    text = (
         f'/* Generated from a trained model; digest {values["digest"]}. */\n'
         f'#include "{name}.h"\n#include "{kind}.h"\n\n'
         '#if defined(__GNUC__)\n#define LTS_ALIGNED __attribute__((aligned(64)))\n'
-        '#else\n#define LTS_ALIGNED\n#endif\n\n' + c_values.Structure(kind, values).source(name)
+        '#else\n#define LTS_ALIGNED\n#endif\n\n'
     )
+    with open(os.path.join(folder, f'{name}.c'), 'w', encoding='utf-8') as file:
+        file.write(text + c_values.Structure(kind, values).source(name))
 
 
 def write(folder: str, name: str, values: dict) -> None:
@@ -92,15 +79,13 @@ def write(folder: str, name: str, values: dict) -> None:
       name: of `symbol`.
       values: of `model_data.values` or `soil_data.values`.
     """
-    for part in ('include', 'src', 'examples'):
-        os.makedirs(os.path.join(folder, part))
-    for header in headers(values):
-        copy(header, os.path.join(folder, 'include'))
-    write_sources(os.path.join(folder, 'src'), name, values)
-    more = _SOIL_TEMPLATES if is_soil(values) else _GRAPH_TEMPLATES
-    for template, target in (_TEMPLATES | more).items():
-        path = os.path.join(folder, target.replace('@NAME@', name))
-        write_template(template, path, words(name, values))
+    src, include, examples = (os.path.join(folder, part) for part in ('src', 'include', 'examples'))
+    for part in (src, include, examples):
+        os.makedirs(part)
+    write_sources(src, name, values, include)
+    for target, (of_subspace, of_field) in _TEMPLATES.items():
+        template = of_field if is_soil(values) else of_subspace
+        write_template(template, os.path.join(folder, target), words(name, values))
 
 
 def words(name: str, values: dict) -> dict:

@@ -77,7 +77,8 @@ class _Tool(Instance):
         self.call('displacement', points, len(points), points)
         return points.astype(np.float32)
 
-    def _copied(self, terrain):
+    def clone(self, terrain):
+        """A tool of its own at the same point, on a terrain that has the content of the other."""
         other = type(self)(self.loaded, terrain, self.tool, self._members)
         other.call('clone', self.soil)
         return other
@@ -202,23 +203,19 @@ class CEngine(_Tool):
         return Judgement(status, found.frame, found.node, text.value.decode())
 
     def clone(self, terrain) -> 'CEngine':
-        other = self._copied(terrain)
+        other = super().clone(terrain)
         other._last, other._passage, other._place = self._last, self._passage, self._place
         return other
 
     def anchor(self, pose, set_down: bool = False) -> 'CAnchor':
-        return CAnchor.at(self, pose, set_down)
+        found = CAnchor(self.loaded, self.terrain, self.tool, self._members)
+        found.settle()
+        found.call('anchor', np.array(pose, np.float64), int(set_down))
+        return found
 
 
 class CAnchor(_Tool):
     """How far particles have moved since a passage began, as `engine.TfAnchor`."""
-
-    @classmethod
-    def at(cls, other: _Tool, pose, set_down: bool) -> 'CAnchor':
-        found = cls(other.loaded, other.terrain, other.tool, other._members)
-        found.settle()
-        found.call('anchor', np.array(pose, np.float64), int(set_down))
-        return found
 
     def leaves(self, pose) -> bool:
         return bool(self.call('reads', np.array(pose, np.float64)))
@@ -227,6 +224,3 @@ class CAnchor(_Tool):
         pose = np.array(pose, np.float64)
         self.settle(pose)
         self.call('follow', pose, dt)
-
-    def clone(self, terrain) -> 'CAnchor':
-        return self._copied(terrain)

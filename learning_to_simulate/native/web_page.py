@@ -46,10 +46,7 @@ def compile_model(name: str, values: dict) -> bytes:
 
     with tempfile.TemporaryDirectory() as folder:
         project.write_sources(folder, name, values)
-        for part in ('page/page.c', *project.headers(values)):
-            project.copy(part, folder)
-        header = f'#include "lts_soil.h"\nextern const lts_soil_model {name};\n'
-        pathlib.Path(folder, f'{name}.h').write_text(header, encoding='utf-8')
+        project.copy('page/page.c', folder)
         wasm = os.path.join(folder, 'soil.wasm')
         flags = *TARGET, f'-DLTS_MODEL={name}'
         library.compile_sources(wasm, folder, flags=flags, command=library.ZIG)

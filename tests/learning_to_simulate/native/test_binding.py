@@ -90,32 +90,32 @@ def test_prepare_save_and_clone_change_nothing(shared):
     stepper.reset(group.position[0, :H])
     plain = [stepper.step(pose) for pose in group.position[0, H:, :n]]
     stepper.reset(group.position[0, :H])
-    other = [stepper.save()]
+    other = [worlds.saved(stepper)]
     for k, pose in enumerate(group.position[0, H:, :n]):
         if rng.integers(2):
             stepper.call('prepare')
         if rng.integers(2):  # a detour, and back
-            state = stepper.save()
+            state = worlds.saved(stepper)
             stepper.step(pose + 0.01)
-            stepper.load_state(state)
+            worlds.restored(stepper, state)
         frame = stepper.step(pose)
         np.testing.assert_array_equal(frame.modes, plain[k].modes)
         np.testing.assert_array_equal(frame.force, plain[k].force)
-        other.append(stepper.save())
+        other.append(worlds.saved(stepper))
     assert len({len(state) for state in other}) == 1 and len(set(other)) == len(other)
 
 
 def test_damaged_and_foreign_states_are_refused(tmp_path, shared):
     stepper, _, group = shared
     stepper.reset(group.position[0, :H])
-    state = stepper.save()
+    state = worlds.saved(stepper)
     model, (foreign, *_), _ = models.make(tmp_path, overrides={'seed': 1})
     bad = [b'', state[:-1], state[:40] + b'?' + state[41:], state[:-3] + b'???']
-    bad.append(CSubspace.of(model, foreign.n_rigid).save())
+    bad.append(worlds.saved(CSubspace.of(model, foreign.n_rigid)))
     for value in bad:
         with pytest.raises(ValueError, match='saved state'):
-            stepper.load_state(value)
-    assert stepper.save() == state
+            worlds.restored(stepper, value)
+    assert worlds.saved(stepper) == state
 
 
 def test_bad_input_is_refused(shared):

@@ -21,7 +21,7 @@ CASES = {
 
 def compiler():
     return [
-        *library.compiler(), '-std=c99', '-O1', '-g', '-fsanitize=address,undefined',
+        *library.compiler(), '-std=c99', '-O1', '-g1', '-fsanitize=address,undefined',
         '-fno-sanitize-recover=all', '-Wall', '-Wextra', '-Werror',
     ]  # fmt: skip
 

@@ -1,5 +1,6 @@
 """The FMU by FMPy: valid, equal to the library, rolled back bit by bit, side by side."""
 
+import itertools
 import os
 import subprocess
 import zipfile
@@ -7,6 +8,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from scipy.interpolate import RegularGridInterpolator
 
 import learning_to_simulate as lts
 from learning_to_simulate.native import fmu, library, soil_data
@@ -75,56 +77,31 @@ class _Slave:
         self.c.freeInstance()
 
 
-def assert_states_go_on(one, other, steps, elsewhere, h, further=()):
-    """After half of the steps (inputs of `_Slave.set`) of the one, the others give the same bits:
-    again, and from the bytes of the state in another instance that was elsewhere. Returns the
-    bytes."""
-
-    def go(slave, some):
-        found = []
-        for inputs in some:
-            slave.set(**inputs)
-            slave.step(h)
-            found.append([*slave.get('force'), *slave.reals(*further)])
-        return found
-
-    half = len(steps) // 2
-    go(one, steps[:half])
-    state, time = one.c.getFMUstate(), one.time
-    saved = one.c.serializeFMUstate(state)
-    first = go(one, steps[half:])
-    go(other, elsewhere)
-    theirs = other.c.deSerializeFMUstate(saved)
-    for slave, at in ((one, state), (other, theirs)):
-        slave.c.setFMUstate(at)
-        slave.time = time
-        np.testing.assert_array_equal(go(slave, steps[half:]), first)
-        slave.c.freeFMUstate(at)
-    return saved
-
-
 KINDS = {'blade': Blade(0.3, 0.02, 0.2, 1.0), 'wheel': Wheel(0.1, 0.08, 12, 0.008)}
-SOIL = Soil(33.0, 1600.0, 3.7)
 H = 1 / 64  # a sum of them is exact
+
+
+# Kind of an FMU's tools -> index of each in the names of its variables.
+INDICES = {'wheel': [''], 'blade': ['[1]', '[2]']}
 
 
 @pytest.fixture(scope='module')
 def soils(tmp_path_factory):
-    """Kind of a tool, and number of them -> path of an FMU and its field."""
+    """Kind of the tools -> path of an FMU and its field."""
     found, folder = {}, tmp_path_factory.mktemp('soils')
-    for kind, tools in (('blade', 1), ('wheel', 1), ('blade', 2)):
-        field, path = worlds.soil_field(kind), str(folder / f'{kind}_{tools}.fmu')
-        fmu.write(path, f'lts_{kind}', soil_data.values(field), tools)
-        found[kind, tools] = path, field
+    for kind, indices in INDICES.items():
+        field, path = worlds.soil_field(kind), str(folder / f'{kind}.fmu')
+        fmu.write(path, f'lts_{kind}', soil_data.values(field), len(indices))
+        found[kind] = path, field
     return found
 
 
 def test_sources_alone_build_the_binary(soils, tmp_path):
     """As an importer on another machine does: one folder, no network, no flags."""
-    with zipfile.ZipFile(soils['blade', 1][0]) as archive:
+    with zipfile.ZipFile(soils['wheel'][0]) as archive:
         archive.extractall(tmp_path)
         names = archive.namelist()
-    assert 'binaries/linux64/lts_blade.so' in names or os.name != 'posix'
+    assert 'binaries/linux64/lts_wheel.so' in names or os.name != 'posix'
     root = ElementTree.parse(tmp_path / 'modelDescription.xml')
     listed = [file.get('name') for file in root.iter('File')]
     sources = [str(tmp_path / 'sources' / name) for name in listed]
@@ -137,21 +114,21 @@ def test_sources_alone_build_the_binary(soils, tmp_path):
     assert sum(' T fmi2' in line for line in symbols.splitlines()) == 34
 
 
-def _parameters(kind, tools=1, cell=0.02):
+def _parameters(kind):
     """What makes the FMU's terrain and tools those of `_ground` and `KINDS`."""
     body, tool = 'tool' if kind == 'blade' else 'wheel', KINDS[kind]
-    of_soil = {'friction_angle_deg': 33.0, 'density': 1600.0, 'gravity': 3.7}
     found = {
         'terrain.size.x': 3.0, 'terrain.size.z': 2.0, 'terrain.height': 0.1, 'terrain.depth': 0.6,
-        'terrain.cell': cell, 'terrain.grid': 0.07,
-    } | {f'soil.{name}': value for name, value in of_soil.items()}  # fmt: skip
-    for index in [''] if tools == 1 else [f'[{k + 1}]' for k in range(tools)]:
+        'terrain.cell': 0.02, 'terrain.grid': 0.07, 'soil.friction_angle_deg': 33.0,
+        'soil.density': 1600.0, 'soil.gravity': 3.7,
+    }  # fmt: skip
+    for index in INDICES[kind]:
         found |= {f'{body}{index}.{name}': getattr(tool, name) for name in vars(tool)}
     return found
 
 
-def _ground(cell=0.02):
-    return Terrain.flat((3.0, 2.0), 0.1, cell, soil=SOIL, floor=-0.5)
+def _ground():
+    return Terrain.flat((3.0, 2.0), 0.1, 0.02, soil=Soil(33.0, 1600.0, 3.7), floor=-0.5)
 
 
 # Down, then along and up, in N steps with a velocity and a turn about z.
@@ -169,108 +146,81 @@ def _go(start, radius=np.inf):
             place, angle = place + H * np.array(velocity), angle + H * turn
 
 
-def _pose_of(inputs):
-    return np.append(inputs['pos'], inputs['rot'])
+def _outputs(slave, index):
+    ends = ('force', 'xyz'), ('moment', 'xyz')
+    spreads = [(f'{part}_spread', ('along', 'up', 'across')) for part in ('force', 'moment')]
+    names = [f'{slave.body}_load{index}.{n}.{end}' for n, some in (*ends, *spreads) for end in some]
+    return slave.reals(*names, *(f'{n}{index}' for n in ('sinkage', 'drawbar_pull', 'force_bound')))
 
 
-@pytest.mark.parametrize('kind', KINDS)
-def test_a_soil_field_is_valid_and_equals_the_stepper(soils, kind, tmp_path):
-    path, field = soils[kind, 1]
+@pytest.mark.parametrize(
+    'kind, flag, share, height',
+    [('wheel', 'aside', 1e-9, 1e-12), ('blade', 'other_tool', 1e-6, 2e-6)],
+)
+def test_an_fmu_is_valid_and_equals_steppers(soils, kind, flag, share, height, tmp_path):
+    """Two tools share float32 bins, whose round-off is that of `share` and `height`."""
+    path, field = soils[kind]
     assert validation.validate_fmu(path) == []
-    terrain, tool, scale = _ground(), KINDS[kind], KINDS[kind].radius
-    live = SoilStepper(field, terrain, tool, engine='c')
-    start = [2.2, 0.12 + scale, 1.0]
-    slave = _Slave(path, tmp_path, pos=start, **_parameters(kind))
-    live.start([*start, 1.0, 0, 0, 0])
-    rim = scale if kind == 'wheel' else np.inf
-    steps, found, expected = list(_go(start, rim)), [], []
-    load = f'{slave.body}_load'
-    spreads = [f'{load}.{part}_spread.{way}' for part in ('force', 'moment')
-               for way in ('along', 'up', 'across')]  # fmt: skip
-    for inputs, coming in zip(steps, steps[1:]):
-        slave.set(**inputs)
-        slave.step(H)
-        frame = live.step(_pose_of(coming), H)
-        sunk = 0.1 - (frame.pose[1] - scale)
-        rest = slave.reals(*spreads, 'sinkage', 'drawbar_pull', 'force_bound')
-        found.append([*slave.get('force'), *slave.get('moment'), *rest])
-        expected.append([*frame.force, *frame.torque, *frame.spread, sunk, -frame.force[0], -1.0])
-        assert slave.c.getString([slave.vr['status.text']])[0].decode() == frame.reason
-        ok = slave.c.getBoolean(
-            [slave.vr[f'status.{n}'] for n in ('ok', 'ok_now', 'extrapolating')]
-        )
-        assert ok == [not frame.reason, not frame.now.reason, bool(frame.reason)]
-    assert np.abs(expected).max(axis=0)[[0, 1, 5, 6]].min() > 1e-3
-    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
-    # A drive aside is flagged, and the number of the measure is that of its name.
-    assert frame.reason.startswith('aside ')
-    (number,) = slave.c.getInteger([slave.vr['status.reason']])
-    assert live.field.judged_names[number - 1] == 'aside'
-    assert [text for _, text in slave.logged if text.endswith(frame.now.reason.split()[-1])]
-    shown = [f'ground.height[{i},{j}]' for i in range(1, 10) for j in (1, 3, 5)]
-    x, _, z = frame.pose[:3]
-    wanted = [
-        _height(terrain, x - 0.07 * i, z - 0.07 * j) for i in range(-4, 5) for j in (-2, 0, 2)
-    ]
-    np.testing.assert_allclose(slave.reals(*shown), wanted, atol=1e-12)
-    assert np.ptp(wanted) > 5e-4
-    slave.free()
-
-
-def _height(terrain, x, z):
-    """Between the middles of cells, by SciPy."""
-    from scipy.interpolate import RegularGridInterpolator
-
-    axes = [terrain.cell[i] * (np.arange(terrain.shape[i]) + 0.5) for i in range(2)]
-    return RegularGridInterpolator(axes, terrain.heights)([[x, z]])[0]
-
-
-def test_two_tools_on_one_terrain_equal_two_steppers(soils, tmp_path):
-    path, field = soils['blade', 2]
-    assert validation.validate_fmu(path) == []
-    terrain = _ground()
-    lives = [SoilStepper(field, terrain, KINDS['blade'], engine='c') for _ in range(2)]
-    starts, names = [[2.2, 0.15, 1.0], [2.5, 0.14, 1.15]], ('[1]', '[2]')
-    slave = _Slave(path, tmp_path, **_parameters('blade', 2) | {
-        f'tool_state{n}.pos.{a}': v for n, s in zip(names, starts) for a, v in zip('xyz', s)
+    terrain, tool, indices = _ground(), KINDS[kind], INDICES[kind]
+    starts = [[2.2, 0.12 + tool.radius, 1.0], [2.5, 0.12 + tool.radius, 1.15]][: len(indices)]
+    lives = [SoilStepper(field, terrain, tool, engine='c') for _ in indices]
+    body = 'tool' if kind == 'blade' else 'wheel'
+    slave = _Slave(path, tmp_path, **_parameters(kind) | {
+        f'{body}_state{i}.pos.{a}': v for i, s in zip(indices, starts) for a, v in zip('xyz', s)
     })  # fmt: skip
     for live, start in zip(lives, starts):
         live.start([*start, 1.0, 0, 0, 0])
-    ways = [list(_go(start)) for start in starts]
+    radius = tool.radius if kind == 'wheel' else np.inf
     found, expected = [], []
-    for t in range(len(ways[0]) - 1):
-        for name, way in zip(names, ways):
-            slave.set(name, **way[t])
-        if t == 30:  # what is refused of the second tool leaves the first where it was
-            slave.set('[2]', pos=[9.0, 9.0, 9.0])
+    for t, (now, coming) in enumerate(itertools.pairwise(zip(*(_go(s, radius) for s in starts)))):
+        for index, inputs in zip(indices, now):
+            slave.set(index, **inputs)
+        if t == 30:  # what is refused of the last tool leaves the others where they were
+            slave.set(indices[-1], pos=[9.0, 9.0, 9.0])
             with pytest.raises(FMICallException):
                 slave.c.doStep(slave.time, H)
-            assert slave.logged[-1] == ('logStatusError', slave.logged[-1][1])
-            assert slave.logged[-1][1].startswith('tool 2: ')
-            slave.set('[2]', pos=ways[1][t]['pos'])
+            category, text = slave.logged[-1]
+            assert category == 'logStatusError' and text.startswith(f'tool {len(indices)}: ')
+            slave.set(indices[-1], pos=now[-1]['pos'])
         slave.step(H)
-        frames = [live.step(_pose_of(way[t + 1]), H) for live, way in zip(lives, ways)]
-        found.append(np.concatenate([slave.get('force', name) for name in names]))
-        expected.append(np.concatenate([frame.force for frame in frames]))
-    assert (np.abs(expected).max(axis=0)[[0, 1, 3, 4]] > 0.1).all()
-    assert frames[0].reason.startswith('other_tool')
-    np.testing.assert_allclose(found, expected, atol=1e-6 * np.abs(expected).max())  # float32
-    for live, name in zip(lives, names):
-        x, z = live.frame.pose[[0, 2]]
-        np.testing.assert_allclose(
-            slave.reals(f'ground{name}.height[5,3]'), _height(terrain, x, z), atol=2e-6
-        )
+        for index, live, inputs in zip(indices, lives, coming):
+            frame = live.step(np.append(inputs['pos'], inputs['rot']), H)
+            sunk = 0.1 - (frame.pose[1] - tool.radius)
+            found.append(_outputs(slave, index))
+            rest = [*frame.spread, sunk, -frame.force[0], -1.0]
+            expected.append([*frame.force, *frame.torque, *rest])
+            status = {n: slave.vr[f'status{index}.{n}'] for n in ('ok', 'ok_now', 'extrapolating')}
+            said = slave.c.getString([slave.vr[f'status{index}.text']])[0].decode()
+            ok = [not frame.reason, not frame.now.reason, bool(frame.reason)]
+            assert said == frame.reason and slave.c.getBoolean(list(status.values())) == ok
+    largest = np.abs(expected).max()
+    assert np.abs(expected).max(axis=0)[[0, 1, 5, 6]].min() > 1e-3
+    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=share * largest)
+    # The number of the measure is that of its name.
+    frame = lives[0].frame
+    assert frame.reason.startswith(f'{flag} ')
+    (number,) = slave.c.getInteger([slave.vr[f'status{indices[0]}.reason']])
+    assert field.judged_names[number - 1] == flag
+    assert [text for _, text in slave.logged if text.endswith(frame.now.reason.split()[-1])]
+    axes = [terrain.cell[i] * (np.arange(terrain.shape[i]) + 0.5) for i in range(2)]
+    between = RegularGridInterpolator(axes, terrain.heights)
+    for index, live in zip(indices, lives):
+        shown = [f'ground{index}.height[{i},{j}]' for i in range(1, 10) for j in (1, 3, 5)]
+        places = np.array([(-0.07 * i, -0.07 * j) for i in range(-4, 5) for j in (-2, 0, 2)])
+        wanted = between(live.frame.pose[[0, 2]] + places)
+        np.testing.assert_allclose(slave.reals(*shown), wanted, atol=height)
+        assert np.ptp(wanted) > 5e-4
     slave.free()
 
 
 def test_directional_derivatives_are_differences_of_steps_and_leave_the_state(soils, tmp_path):
-    path, _ = soils['blade', 1]
+    path, _ = soils['wheel']
     description = fmpy.read_model_description(path)
     assert description.coSimulation.providesDirectionalDerivative
-    start = [2.2, 0.14, 1.0]
-    slave = _Slave(path, tmp_path, pos=start, **_parameters('blade'))
-    inputs = [n for n in slave.vr if n.startswith('tool_state')]
-    loads = [f'tool_load.{part}.{a}' for part in ('force', 'moment') for a in 'xyz']
+    start = [2.2, 0.2, 1.0]
+    slave = _Slave(path, tmp_path, pos=start, **_parameters('wheel'))
+    inputs = [n for n in slave.vr if n.startswith('wheel_state')]
+    loads = [f'wheel_load.{part}.{a}' for part in ('force', 'moment') for a in 'xyz']
     known, unknown = ([slave.vr[n] for n in names] for names in (inputs, loads))
     *steps, last = list(_go(start))[:46]
     for given in steps:
@@ -311,12 +261,32 @@ def test_directional_derivatives_are_differences_of_steps_and_leave_the_state(so
 
 
 def test_states_of_a_soil_field_go_to_other_instances_and_on_to_the_same_bits(soils, tmp_path):
-    path, _ = soils['blade', 1]
-    start = [2.2, 0.14, 1.0]
-    one = _Slave(path, tmp_path / 'a', pos=start, **_parameters('blade'))
+    path, _ = soils['wheel']
+    start = [2.2, 0.2, 1.0]
+    one = _Slave(path, tmp_path / 'a', pos=start, **_parameters('wheel'))
     other = _Slave(path, tmp_path / 'b', 'other', pos=[2.0, 0.3, 1.0])  # another terrain
-    resting = {'pos': [2.0, 0.3, 1.0], 'rot': [1, 0, 0, 0], 'lin_vel': [0, 0, 0]}
-    saved = assert_states_go_on(one, other, list(_go(start)), [resting], H, ['ground.height[3,3]'])
+
+    def go(slave, some):
+        found = []
+        for inputs in some:
+            slave.set(**inputs)
+            slave.step(H)
+            found.append([*slave.get('force'), *slave.reals('ground.height[3,3]')])
+        return found
+
+    steps = list(_go(start))
+    half = len(steps) // 2
+    go(one, steps[:half])
+    state, time = one.c.getFMUstate(), one.time
+    saved = one.c.serializeFMUstate(state)
+    first = go(one, steps[half:])
+    go(other, [{'pos': [2.0, 0.3, 1.0], 'rot': [1, 0, 0, 0], 'lin_vel': [0, 0, 0]}])
+    theirs = other.c.deSerializeFMUstate(saved)
+    for slave, at in ((one, state), (other, theirs)):
+        slave.c.setFMUstate(at)
+        slave.time = time
+        np.testing.assert_array_equal(go(slave, steps[half:]), first)
+        slave.c.freeFMUstate(at)
     half = other.c.deSerializeFMUstate(saved[: len(saved) // 2])
     with pytest.raises(FMICallException):
         other.c.setFMUstate(half)
@@ -329,13 +299,12 @@ def test_states_of_a_soil_field_go_to_other_instances_and_on_to_the_same_bits(so
 
 
 def test_what_no_soil_field_can_be_is_refused(soils, tmp_path):
-    path, field = soils['blade', 1]
+    path, field = soils['wheel']
     for number, (name, value) in enumerate((
-        ('terrain.cell', 0.0), ('terrain.cell', 1e-9), ('terrain.size.x', -1.0), 
-        ('pos', [2, -5, 1]),
-        ('terrain.depth', -0.1), ('soil.friction_angle_deg', 90.0), ('tool.width', 0.0),
-        ('tool.bucket', 0.5), ('rot', [0, 0, 0, 0]), ('tool.width', np.nan), 
-        ('sinkage', 0.0),
+        ('terrain.cell', 0.0), ('terrain.cell', 1e-9), ('terrain.size.x', -1.0),
+        ('pos', [2, -5, 1]), ('terrain.depth', -0.1), ('soil.friction_angle_deg', 90.0),
+        ('wheel.width', 0.0), ('wheel.width', np.nan), ('wheel.lugs', -1.0),
+        ('rot', [0, 0, 0, 0]), ('sinkage', 0.0),
     )):  # fmt: skip
         with pytest.raises(FMICallException):
             _Slave(path, tmp_path / str(number), **{name: value})

@@ -88,3 +88,14 @@ def started(soil, start: int = 0, pose=None, twist=None, context=None):
 def step_at(soil, pose):
     """The next frame of a `CSubspace` that was started so, at a pose [7]."""
     return soil._newest(soil.call('frame_at', pose, ctypes.byref(soil._result)))
+
+
+def saved(soil) -> bytes:
+    """The state of a run of a model in a subspace."""
+    state = ctypes.create_string_buffer(soil.function('state_size')(soil.loaded.model))
+    soil.call('save', state, len(state))
+    return state.raw
+
+
+def restored(soil, state: bytes) -> None:
+    soil.call('load', state, len(state))

@@ -11,6 +11,11 @@ int lts_check(const void *instance) {
   return *(const uint32_t *)instance == LTS_MAGIC ? LTS_OK : LTS_ERROR_MEMORY;
 }
 
+void *lts_cleared(void *memory, size_t n) {
+  char *base = (char *)memory + (LTS_ALIGNMENT - (uintptr_t)memory % LTS_ALIGNMENT) % LTS_ALIGNMENT;
+  return memset(base, 0, n);
+}
+
 size_t lts_aligned(size_t n, size_t to) { return (n + to - 1) / to * to; }
 
 int lts_all_finite(const double *values, size_t n) {
@@ -18,6 +23,12 @@ int lts_all_finite(const double *values, size_t n) {
     if (!isfinite(values[i])) return 0;
   }
   return 1;
+}
+
+double lts_length(const double *values, int n) {
+  double square = 0.0;
+  for (int i = 0; i < n; ++i) square += values[i] * values[i];
+  return sqrt(square);
 }
 
 void lts_centroid(const double *points, int n, double out[3]) {
@@ -54,7 +65,7 @@ void lts_rotate(const double q[4], const double v[3], double out[3]) {
 }
 
 int lts_usable_pose(const lts_pose *pose, lts_pose *out) {
-  const double *q = pose->rotation, length = sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]);
+  const double length = lts_length(pose->rotation, 4);
   if (!lts_all_finite(pose->position, 3) || !(length > 1e-6 && length < 1e6)) return 0;
   *out = *pose;
   for (int i = 0; i < 4; ++i) out->rotation[i] /= length;
@@ -67,7 +78,7 @@ int lts_usable_twist(const lts_twist *twist) {
 
 void lts_moved_pose(const lts_pose *pose, const lts_twist *twist, double seconds, lts_pose *out) {
   const double *w = twist->angular, *q = pose->rotation;
-  const double rate = sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2]), half = 0.5 * rate * seconds;
+  const double rate = lts_length(w, 3), half = 0.5 * rate * seconds;
   const double s = rate > 0.0 ? sin(half) / rate : 0.0, c = cos(half);
   const double t[4] = {c, s * w[0], s * w[1], s * w[2]};
   const double turned[4] = {
@@ -81,6 +92,8 @@ void lts_moved_pose(const lts_pose *pose, const lts_twist *twist, double seconds
 }
 
 /* ---- reasons ---- */
+
+const lts_judgement lts_well = {LTS_OK, -1, -1, -1, 0.0, 0.0, 0.0};
 
 void lts_say(const lts_judgement *found, const char *measure, char *text, size_t size) {
   const char *twice = found->status & LTS_LEFT_BOUNDS ? "twice " : "";

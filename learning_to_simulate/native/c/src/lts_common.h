@@ -8,6 +8,7 @@
 #define LTS_MAGIC 0x4c545331u /* the first word of an instance, and of saved bytes */
 #define LTS_HEADER_SIZE 96 /* bytes before a saved state */
 #define LTS_LONGEST_NAME 64
+#define LTS_PI 3.14159265358979323846
 
 /* Returns the error of a call, where there is one. */
 #define LTS_TRY(call)             \
@@ -16,11 +17,23 @@
     if (lts_code < 0) return lts_code; \
   } while (0)
 
+/* In a function that counts the bytes `at` of arrays, or (base not null) takes them from there: the next array. */
+#define LTS_TAKE(array, type, count, alignment)              \
+  do {                                                       \
+    if (base) (array) = (type *)(void *)(base + at);         \
+    at += lts_aligned((count) * sizeof(type), (alignment));  \
+  } while (0)
+
+/* The first aligned address of memory, whose next n bytes are set to 0. */
+void *lts_cleared(void *memory, size_t n);
+
 /* Whether what begins with its magic is an instance. */
 int lts_check(const void *instance);
 
 size_t lts_aligned(size_t n, size_t to);
 int lts_all_finite(const double *values, size_t n);
+/* Length of a vector [n]. */
+double lts_length(const double *values, int n);
 
 /* Mean of n points [n][3]. */
 void lts_centroid(const double *points, int n, double out[3]);
@@ -29,6 +42,9 @@ void lts_rotate(const double q[4], const double v[3], double out[3]);
 int lts_usable_pose(const lts_pose *pose, lts_pose *out);
 int lts_usable_twist(const lts_twist *twist);
 void lts_moved_pose(const lts_pose *pose, const lts_twist *twist, double seconds, lts_pose *out);
+
+/* Of a frame that is like those of training. */
+extern const lts_judgement lts_well;
 
 /* Writes why a frame is judged as it is; `measure` is what left its range. */
 void lts_say(const lts_judgement *found, const char *measure, char *text, size_t size);

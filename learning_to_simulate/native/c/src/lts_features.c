@@ -37,22 +37,6 @@ void lts_node_offset(const lts_instance *soil, int node, float out[3]) {
   if (m->motion == LTS_DRIVEN && node < m->n_rigid) out[m->up_axis] += soil->state.head->height;
 }
 
-static double velocity_feature(const lts_instance *soil, int node, int k, int axis) {
-  const lts_model *m = soil->model;
-  const double v = displacement(soil, node, k, axis) / soil->rate;
-  return (v - m->velocity_mean[3 * node + axis]) / m->velocity_std[3 * node + axis];
-}
-
-static float *offset_features(const lts_instance *soil, int node, float *out) {
-  const lts_model *m = soil->model;
-  float offset[3];
-  lts_node_offset(soil, node, offset);
-  for (int axis = 0; axis < 3; ++axis) {
-    *out++ = (float)(offset[axis] / m->position_std[3 * node + axis]);
-  }
-  return out;
-}
-
 static float *acceleration_features(const lts_instance *soil, int node, float *out) {
   const lts_model *m = soil->model;
   for (int k = 1; k < m->velocity_inputs; ++k) {
@@ -66,24 +50,6 @@ static float *acceleration_features(const lts_instance *soil, int node, float *o
   return out;
 }
 
-static float *coming_features(const lts_instance *soil, int node, float *out) {
-  const lts_model *m = soil->model;
-  for (int i = 3 * node; i < 3 * node + 3; ++i) {
-    *out++ = (float)((soil->coming[i] / soil->rate - m->velocity_mean[i]) / m->velocity_std[i]);
-  }
-  return out;
-}
-
-static float *height_features(const lts_instance *soil, float *out) {
-  const lts_model *m = soil->model;
-  const lts_head *head = soil->state.head;
-  *out++ = (float)(head->height / m->height_std);
-  for (int k = 0; k < LTS_CHANGES; ++k) {
-    *out++ = (float)(head->height_change[k] / m->height_velocity_std);
-  }
-  return out;
-}
-
 static float *zeros(int n, float *out) {
   while (n-- > 0) *out++ = 0.0f;
   return out;
@@ -91,14 +57,20 @@ static float *zeros(int n, float *out) {
 
 void lts_features(const lts_instance *soil, int first, int last, float *out) {
   const lts_model *m = soil->model;
+  const lts_head *head = soil->state.head;
   const int is_rigid = first < m->n_rigid, last_rigid = last < m->n_rigid ? last : m->n_rigid;
   for (int k = 0; k < m->velocity_inputs; ++k) {
-    for (int node = first; node < last; ++node) {
-      for (int axis = 0; axis < 3; ++axis) *out++ = (float)velocity_feature(soil, node, k, axis);
+    for (int i = 3 * first; i < 3 * last; ++i) {
+      const double v = displacement(soil, i / 3, k, i % 3) / soil->rate;
+      *out++ = (float)((v - m->velocity_mean[i]) / m->velocity_std[i]);
     }
   }
   if (m->position_inputs) {
-    for (int node = first; node < last; ++node) out = offset_features(soil, node, out);
+    for (int i = 3 * first; i < 3 * last; ++i) {
+      float offset[3];
+      lts_node_offset(soil, i / 3, offset);
+      *out++ = (float)(offset[i % 3] / m->position_std[i]);
+    }
     for (int node = first; node < last; ++node) out = acceleration_features(soil, node, out);
   }
   if (m->rate_scaled) {
@@ -108,9 +80,17 @@ void lts_features(const lts_instance *soil, int first, int last, float *out) {
   /* A mode has 0 where the body has its own. */
   if (m->knows_next) {
     if (!is_rigid) out = zeros(3, out);
-    for (int node = first; node < last_rigid; ++node) out = coming_features(soil, node, out);
+    for (int i = 3 * first; i < 3 * last_rigid; ++i) {
+      *out++ = (float)((soil->coming[i] / soil->rate - m->velocity_mean[i]) / m->velocity_std[i]);
+    }
   }
-  if (m->has_height) out = is_rigid ? height_features(soil, out) : zeros(LTS_HISTORY, out);
+  if (m->has_height && !is_rigid) out = zeros(LTS_HISTORY, out);
+  if (m->has_height && is_rigid) {
+    *out++ = (float)(head->height / m->height_std);
+    for (int k = 0; k < LTS_CHANGES; ++k) {
+      *out++ = (float)(head->height_change[k] / m->height_velocity_std);
+    }
+  }
   const int n = m->n_context * (m->has_log_context ? 2 : 1);
   for (int i = 0; i < n; ++i) *out++ = soil->context_feature[i];
 }

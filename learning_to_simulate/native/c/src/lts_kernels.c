@@ -138,26 +138,24 @@ static int best_x86(void) {
 #endif
 
 const lts_kernels *lts_find_kernels(int kind, int *found) {
-#if defined(__x86_64__) || defined(_M_X64)
-  const int best = kind == LTS_SCALAR || kind == LTS_VECTOR4 ? kind : best_x86();
-  if (best == LTS_AVX512 && (kind == LTS_AVX512 || kind == LTS_BEST)) {
-    *found = LTS_AVX512;
-    return &avx512_kernels;
-  }
-  if (best >= LTS_AVX2 && (kind == LTS_AVX2 || kind == LTS_BEST)) {
-    *found = LTS_AVX2;
-    return &avx2_kernels;
-  }
-#endif
+  int best = LTS_SCALAR;
 #if defined(__GNUC__)
-  if (kind == LTS_VECTOR4 || kind == LTS_BEST) {
-    *found = LTS_VECTOR4;
-    return &vector4_kernels;
-  }
+  best = LTS_VECTOR4;
 #endif
-  if (kind == LTS_SCALAR || kind == LTS_BEST) {
-    *found = LTS_SCALAR;
-    return &scalar_kernels;
+#if defined(__x86_64__) || defined(_M_X64)
+  if (best_x86() > LTS_VECTOR4) best = best_x86();
+#endif
+  *found = kind == LTS_BEST ? best : kind;
+  if (*found > best) return NULL;
+  switch (*found) {
+    case LTS_SCALAR: return &scalar_kernels;
+#if defined(__GNUC__)
+    case LTS_VECTOR4: return &vector4_kernels;
+#endif
+#if defined(__x86_64__) || defined(_M_X64)
+    case LTS_AVX2: return &avx2_kernels;
+    case LTS_AVX512: return &avx512_kernels;
+#endif
+    default: return NULL;
   }
-  return NULL;
 }

@@ -11,6 +11,12 @@ static int n_node_of(const lts_model *m, int kind) {
 }
 static int smaller(int a, int b) { return a < b ? a : b; }
 
+/* Rows of a latent's width from x to y, of row stride ldy. */
+static void dense(const lts_instance *soil, const lts_dense *layer, const float *x, int ldx, int rows,
+                  float *y, int ldy, lts_form form) {
+  soil->run->dense(layer, x, ldx, rows, y, ldy, form, NULL, NULL);
+}
+
 static void swap_rows(lts_instance *soil) {
   float *other = soil->a;
   soil->a = soil->b;
@@ -22,10 +28,10 @@ static void swap_rows(lts_instance *soil) {
 static void run_mlp(lts_instance *soil, const lts_mlp *mlp, int rows) {
   const int stride = LTS_PADDED(soil->model->latent);
   for (int i = 0; i < mlp->n_hidden; ++i) {
-    soil->run->dense(&mlp->hidden[i], soil->a, stride, rows, soil->b, stride, LTS_RELU, NULL, NULL);
+    dense(soil, &mlp->hidden[i], soil->a, stride, rows, soil->b, stride, LTS_RELU);
     swap_rows(soil);
   }
-  soil->run->dense(&mlp->norm, soil->a, stride, rows, soil->factor, 1, LTS_SQUARES, NULL, NULL);
+  dense(soil, &mlp->norm, soil->a, stride, rows, soil->factor, 1, LTS_SQUARES);
   for (int i = 0; i < rows; ++i) {
     soil->factor[i] = 1.0f / sqrtf(soil->factor[i] / (float)mlp->width + soil->model->norm_epsilon);
   }
@@ -79,7 +85,7 @@ static void encode_edges(lts_instance *soil) {
       }
       feature[i][3] = sqrtf(square < 1e-12f ? 1e-12f : square);
     }
-    soil->run->dense(&m->edge_first, feature[0], 4, rows, soil->a, stride, LTS_RELU, NULL, NULL);
+    dense(soil, &m->edge_first, feature[0], 4, rows, soil->a, stride, LTS_RELU);
     run_mlp(soil, &m->edge_encoder, rows);
     run_normed(soil, &m->edge_out, rows, soil->edges + (size_t)first * edge_stride(m),
                edge_stride(m));
@@ -97,8 +103,7 @@ static void encode_nodes(lts_instance *soil, int kind) {
     for (int i = 0; i < rows; ++i) {
       lts_features(soil, first + i, first + i + 1, feature + i * m->n_feature);
     }
-    soil->run->dense(&m->node_first, feature, m->n_feature, rows, soil->b, stride, LTS_NORMED, NULL,
-                     NULL);
+    dense(soil, &m->node_first, feature, m->n_feature, rows, soil->b, stride, LTS_NORMED);
     soil->run->sum_relu(soil->b, m->node_bias + (size_t)first * stride, NULL, rows * stride, soil->a);
     run_mlp(soil, &m->node_encoder, rows);
     run_normed(soil, &columns->of, rows, soil->columns + (size_t)first * ldc, ldc);
@@ -138,8 +143,7 @@ static void pass_messages(lts_instance *soil, int index) {
       for (int i = 0; i < keep; ++i) {
         soil->run->accumulate(1.0f, soil->b + i * stride, stride, edges + (size_t)i * lde + stride);
       }
-      soil->run->dense(&step->next_edge, edges + stride, lde, keep, edges, lde, LTS_NORMED, NULL,
-                       NULL);
+      dense(soil, &step->next_edge, edges + stride, lde, keep, edges, lde, LTS_NORMED);
     }
   }
 }
@@ -149,12 +153,10 @@ static void decode(lts_instance *soil, int first, int rows) {
   const lts_model *m = soil->model;
   const int stride = LTS_PADDED(m->latent);
   for (int i = 0; i < m->n_decoder_hidden; ++i) {
-    soil->run->dense(&m->decoder_hidden[i], soil->a, stride, rows, soil->b, stride, LTS_RELU, NULL,
-                     NULL);
+    dense(soil, &m->decoder_hidden[i], soil->a, stride, rows, soil->b, stride, LTS_RELU);
     swap_rows(soil);
   }
-  soil->run->dense(&m->decoder_last, soil->a, stride, rows, soil->out + first * LTS_PANEL, LTS_PANEL,
-                   LTS_NORMED, NULL, NULL);
+  dense(soil, &m->decoder_last, soil->a, stride, rows, soil->out + first * LTS_PANEL, LTS_PANEL, LTS_NORMED);
 }
 
 static void update_nodes(lts_instance *soil, int index, int kind) {
@@ -168,17 +170,14 @@ static void update_nodes(lts_instance *soil, int index, int kind) {
     float *of_nodes = soil->columns + (size_t)first * ldc;
     /* A kind without edges into it receives nothing. */
     const float *received = columns->receive < 0 ? NULL : soil->received + (size_t)first * ldr;
-    if (received) {
-      soil->run->dense(&step->received, received, ldr, rows, soil->b, stride, LTS_NORMED, NULL,
-                       NULL);
-    }
+    if (received) dense(soil, &step->received, received, ldr, rows, soil->b, stride, LTS_NORMED);
     for (int i = 0; i < rows; ++i) {
       soil->run->sum_relu(of_nodes + (size_t)i * ldc + columns->update,
                           received ? soil->b + i * stride : NULL, NULL, stride, soil->a + i * stride);
     }
     run_mlp(soil, &step->node, rows);
+    run_normed(soil, &step->change, rows, soil->b, stride);
     if (is_last) {
-      run_normed(soil, &step->change, rows, soil->b, stride);
       for (int i = 0; i < rows; ++i) {
         soil->run->sum_relu(of_nodes + (size_t)i * ldc + columns->decode, soil->b + i * stride, NULL,
                             stride, soil->a + i * stride);
@@ -188,17 +187,13 @@ static void update_nodes(lts_instance *soil, int index, int kind) {
     }
     /* The latent goes into `b`, because the columns of the next step lie where it is now. */
     const lts_columns *next = &m->steps[index + 1].columns[kind];
-    run_normed(soil, &step->change, rows, soil->b, stride);
     for (int i = 0; i < rows; ++i) {
       soil->run->accumulate(1.0f, of_nodes + (size_t)i * ldc + columns->latent, stride,
                             soil->b + i * stride);
     }
-    soil->run->dense(&next->of.a, soil->b, stride, rows, of_nodes, ldc, LTS_NORMED, NULL, NULL);
-    if (next->latent >= 0) {
-      for (int i = 0; i < rows; ++i) {
-        memcpy(of_nodes + (size_t)i * ldc + next->latent, soil->b + i * stride,
-               (size_t)stride * sizeof(float));
-      }
+    dense(soil, &next->of.a, soil->b, stride, rows, of_nodes, ldc, LTS_NORMED);
+    for (int i = 0; next->latent >= 0 && i < rows; ++i) {
+      memcpy(of_nodes + (size_t)i * ldc + next->latent, soil->b + i * stride, (size_t)stride * sizeof(float));
     }
   }
 }
@@ -217,7 +212,7 @@ static void run_whole(lts_instance *soil) {
   lts_features(soil, 0, lts_n_node(m), soil->feature);
   const float *x = soil->feature;
   for (int i = 0; i < m->n_whole_hidden; ++i) {
-    soil->run->dense(&m->whole_hidden[i], x, 0, 1, soil->b, 0, LTS_RELU, NULL, NULL);
+    dense(soil, &m->whole_hidden[i], x, 0, 1, soil->b, 0, LTS_RELU);
     swap_rows(soil);
     x = soil->a;
   }

@@ -3,6 +3,12 @@
 
 #include "lts_internal.h"
 
+static void turn(double *x, double *y, double c, double s) {
+  const double before = *x;
+  *x = c * before - s * *y;
+  *y = s * before + c * *y;
+}
+
 /* Eigenvector of the largest eigenvalue of a symmetric 4 x 4 matrix, by Jacobi rotations: they need no
  * start and no shift, and converge for equal eigenvalues too. */
 static void largest_eigenvector(double a[4][4], double out[4]) {
@@ -19,21 +25,9 @@ static void largest_eigenvector(double a[4][4], double out[4]) {
         const double theta = (a[q][q] - a[p][p]) / (2.0 * a[p][q]);
         const double t = (theta < 0 ? -1.0 : 1.0) / (fabs(theta) + sqrt(theta * theta + 1.0));
         const double c = 1.0 / sqrt(t * t + 1.0), s = t * c;
-        for (int k = 0; k < 4; ++k) {
-          const double x = a[k][p], y = a[k][q];
-          a[k][p] = c * x - s * y;
-          a[k][q] = s * x + c * y;
-        }
-        for (int k = 0; k < 4; ++k) {
-          const double x = a[p][k], y = a[q][k];
-          a[p][k] = c * x - s * y;
-          a[q][k] = s * x + c * y;
-        }
-        for (int k = 0; k < 4; ++k) {
-          const double x = v[k][p], y = v[k][q];
-          v[k][p] = c * x - s * y;
-          v[k][q] = s * x + c * y;
-        }
+        for (int k = 0; k < 4; ++k) turn(&a[k][p], &a[k][q], c, s);
+        for (int k = 0; k < 4; ++k) turn(&a[p][k], &a[q][k], c, s);
+        for (int k = 0; k < 4; ++k) turn(&v[k][p], &v[k][q], c, s);
       }
     }
   }

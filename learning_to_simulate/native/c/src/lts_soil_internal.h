@@ -36,6 +36,12 @@ typedef struct {
   double *surface, *profile, *last, *area_before, *struck; /* LTS_SOIL_ROWS of [strips][n_bin] */
 } lts_passage;
 
+/* The rows of a passage from the bin `at` on. */
+static inline void lts_soil_rows(const lts_passage *p, size_t at, double *out[LTS_SOIL_ROWS]) {
+  double *const rows[LTS_SOIL_ROWS] = {p->surface, p->profile, p->last, p->area_before, p->struck};
+  for (int i = 0; i < LTS_SOIL_ROWS; ++i) out[i] = rows[i] + at;
+}
+
 /* Cells in sight, ascending: their numbers in the flat map, heights before the tool and as it left them (m), u and
  * distance across of their middles (m of the field). */
 typedef struct {
@@ -124,8 +130,6 @@ int lts_soil_meet(lts_soil *soil, lts_passage *p);
 void lts_soil_write(lts_soil *soil);
 /* Lets soil slide about n cells; those in sight of a passage stay as they are (null: all move). */
 void lts_soil_settle(lts_soil *soil, const int32_t *cells, int32_t n, const lts_passage *kept);
-/* Centre x, z and radius of what a tool has in sight, m. */
-void lts_soil_sight(const lts_soil *soil, double out[3]);
 /* The same, after all tools have written where another has in sight what this one has. */
 int lts_soil_meet_others(lts_soil *soil);
 

@@ -83,13 +83,13 @@ static int is_even(const lts_soil *soil, const lts_place *place, double u) {
 }
 
 void lts_soil_copy(const lts_soil *soil, lts_passage *to, const lts_passage *from) {
-  const size_t n = LTS_SOIL_ROW(soil, from->s.n_strip) * sizeof(double);
+  double *ours[LTS_SOIL_ROWS], *theirs[LTS_SOIL_ROWS];
+  lts_soil_rows(to, 0, ours);
+  lts_soil_rows(from, 0, theirs);
   to->s = from->s;
-  memcpy(to->surface, from->surface, n);
-  memcpy(to->profile, from->profile, n);
-  memcpy(to->last, from->last, n);
-  memcpy(to->area_before, from->area_before, n);
-  memcpy(to->struck, from->struck, n);
+  for (int i = 0; i < LTS_SOIL_ROWS; ++i) {
+    memcpy(ours[i], theirs[i], LTS_SOIL_ROW(soil, from->s.n_strip) * sizeof(double));
+  }
 }
 
 double lts_soil_line(const lts_soil *soil, const lts_passage *p, double *height) {
@@ -136,6 +136,20 @@ int lts_soil_is_due(const lts_soil *soil, const lts_passage *p) {
   return p->s.way > soil->model->renewed_after || lts_soil_lay(soil, p, soil->model->relaid, &other);
 }
 
+/* Heights [n_strip][n_bin] of some of the bins about an origin; LTS_ERROR_VALUE: any that are not finite. */
+static int read_strips(const lts_soil *soil, const lts_place *place, double origin, int n_strip, int first, int last,
+                       double *out) {
+  for (int j = 0; j < n_strip; ++j) {
+    for (int k = first; k < last; ++k) {
+      const double u = origin + lts_soil_offset(soil->model, k);
+      const double height = lts_soil_read(soil, soil->terrain, place, n_strip, j, u);
+      if (!isfinite(height)) return LTS_ERROR_VALUE;
+      out[LTS_SOIL_ROW(soil, j) + (size_t)k] = height;
+    }
+  }
+  return LTS_OK;
+}
+
 /* Puts the bins of a passage about a pose that its place sees at `seen`, with one strip as long as `looks` finds the
  * ground even (once off, it stays off), and reads them; LTS_ERROR_VALUE: heights that are not finite. */
 static int read_about(const lts_soil *soil, lts_passage *p, const lts_pose *pose, double seen[3]) {
@@ -147,15 +161,7 @@ static int read_about(const lts_soil *soil, lts_passage *p, const lts_pose *pose
     w->looks = is_even(soil, &w->place, seen[0] + lts_soil_offset(m, k));
   }
   w->n_strip = w->looks ? 1 : lts_soil_n_strip(soil);
-  for (int j = 0; j < p->s.n_strip; ++j) {
-    for (int k = 0; k < soil->model->n_bin; ++k) {
-      const double u = p->s.origin + lts_soil_offset(soil->model, k);
-      const double height = lts_soil_read(soil, soil->terrain, &p->s.place, p->s.n_strip, j, u);
-      if (!isfinite(height)) return LTS_ERROR_VALUE;
-      p->surface[LTS_SOIL_ROW(soil, j) + (size_t)k] = height;
-    }
-  }
-  return LTS_OK;
+  return read_strips(soil, &w->place, w->origin, w->n_strip, 0, m->n_bin, p->surface);
 }
 
 int lts_soil_begin(lts_soil *soil, lts_passage *p, const lts_pose *pose, int set_down, const lts_place *place) {
@@ -185,8 +191,9 @@ int lts_soil_begin(lts_soil *soil, lts_passage *p, const lts_pose *pose, int set
 }
 
 void lts_soil_take_all_strips(const lts_soil *soil, lts_passage *p) {
-  double *of[LTS_SOIL_ROWS] = {p->surface, p->profile, p->last, p->area_before, p->struck};
+  double *of[LTS_SOIL_ROWS];
   const int n = lts_soil_n_strip(soil);
+  lts_soil_rows(p, 0, of);
   for (int j = 1; j < n; ++j) {
     for (int i = 0; i < LTS_SOIL_ROWS; ++i) {
       memcpy(of[i] + LTS_SOIL_ROW(soil, j), of[i], LTS_SOIL_ROW(soil, 1) * sizeof **of);
@@ -213,14 +220,7 @@ static int follow(lts_soil *soil, lts_passage *p, double to) {
     goes_on = is_even(soil, &p->s.place, to + lts_soil_offset(m, k));
   }
   const int n_strip = p->s.looks && !goes_on ? lts_soil_n_strip(soil) : p->s.n_strip;
-  for (int j = 0; j < n_strip; ++j) {
-    for (int k = first; k < last; ++k) {
-      const double u = to + lts_soil_offset(m, k);
-      const double height = lts_soil_read(soil, soil->terrain, &p->s.place, n_strip, j, u);
-      if (!isfinite(height)) return LTS_ERROR_VALUE;
-      soil->fresh[LTS_SOIL_ROW(soil, j) + (size_t)k] = height;
-    }
-  }
+  LTS_TRY(read_strips(soil, &p->s.place, to, n_strip, first, last, soil->fresh));
   if (n_strip != p->s.n_strip) lts_soil_take_all_strips(soil, p);
   p->s.owed = lts_soil_owed(soil, p);
   p->s.owed_at = p->s.travelled;
@@ -230,7 +230,7 @@ static int follow(lts_soil *soil, lts_passage *p, double to) {
 
 int lts_soil_go(lts_soil *soil, lts_passage *p, const lts_pose *pose, double dt) {
   const lts_soil_model *m = soil->model;
-  const double turn = 2.0 * 3.14159265358979323846;
+  const double turn = 2.0 * LTS_PI;
   double coming[3], change[3];
   seen_pose(soil, &p->s.place, pose, coming);
   for (int i = 0; i < 3; ++i) change[i] = coming[i] - p->s.pose[i];

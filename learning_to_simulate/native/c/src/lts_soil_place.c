@@ -5,12 +5,7 @@
 #include "lts_soil_internal.h"
 
 int lts_soil_unit_pose(const lts_pose *pose, lts_pose *out) {
-  const double *q = pose->rotation;
-  const double length = sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]);
-  if (!lts_all_finite(pose->position, 3) || !(fabs(length - 1.0) <= 1e-3)) return 0;
-  *out = *pose;
-  for (int i = 0; i < 4; ++i) out->rotation[i] = q[i] / length;
-  return 1;
+  return fabs(lts_length(pose->rotation, 4) - 1.0) <= 1e-3 && lts_usable_pose(pose, out);
 }
 
 int lts_place_of(const lts_pose *pose, lts_place *out) {

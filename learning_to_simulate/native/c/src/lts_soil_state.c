@@ -40,14 +40,13 @@ static double most_cells(const lts_soil_model *m, const lts_soil_tool *tool, con
   return fmin(floor(along * across / (t->cell[0] * t->cell[1])) + 1.0, all);
 }
 
+static int larger(int a, int b) { return a > b ? a : b; }
+
 static int widest(const lts_soil_model *m) {
   const lts_soil_network *nets[3] = {&m->after, &m->surface, &m->soil};
   int most = 0;
   for (int i = 0; i < 3; ++i) {
-    for (int k = 0; k < nets[i]->n_layer; ++k) {
-      const int columns = nets[i]->layers[k].columns;
-      most = columns > most ? columns : most;
-    }
+    for (int k = 0; k < nets[i]->n_layer; ++k) most = larger(most, nets[i]->layers[k].columns);
   }
   return most;
 }
@@ -68,15 +67,10 @@ static size_t lay_out(const lts_soil_model *m, const lts_soil_tool *tool, const 
   const size_t strips = m->n_column > 1 ? (size_t)(m->n_column + 2 * m->n_beside) : 1;
   const size_t rows = 2 * (size_t)m->n_column, members = (size_t)m->n_member;
   const size_t own = (size_t)m->load_own.columns, ld_side = (size_t)LTS_PADDED(m->side.n_row);
-  size_t ld = (size_t)LTS_PADDED(m->load.n_row);
-  if ((size_t)LTS_PADDED(m->soil.layers[0].rows) > ld) ld = (size_t)LTS_PADDED(m->soil.layers[0].rows);
-  if ((size_t)LTS_PADDED(m->surface.layers[0].rows) > ld) {
-    ld = (size_t)LTS_PADDED(m->surface.layers[0].rows);
-  }
+  const int of_places = larger(m->soil.layers[0].rows, m->surface.layers[0].rows);
+  const size_t ld = (size_t)LTS_PADDED(larger(m->load.n_row, of_places));
   size_t at = lts_aligned(sizeof(lts_soil), LTS_ALIGNMENT);
-#define TAKE(field, type, count)                             \
-  if (base) soil->field = (type *)(void *)(base + at);       \
-  at += lts_aligned((count) * sizeof(type), LTS_ALIGNMENT);
+#define TAKE(field, type, count) LTS_TAKE(soil->field, type, count, LTS_ALIGNMENT);
   for (int i = 0; i < 2; ++i) {
     TAKE(passage[i].surface, double, strips * bins)
     TAKE(passage[i].profile, double, strips * bins)
@@ -89,14 +83,10 @@ static size_t lay_out(const lts_soil_model *m, const lts_soil_tool *tool, const 
     TAKE(cells[i].u, double, cells)
     TAKE(cells[i].across, double, cells)
   }
-  for (int i = 0; i < LTS_SOIL_CHANNELS; ++i) {
-    TAKE(bins[i], float, strips * bins + 1)
-  }
+  for (int i = 0; i < LTS_SOIL_CHANNELS; ++i) TAKE(bins[i], float, strips * bins + 1)
   TAKE(gone, int32_t, cells)
   TAKE(box, double, box)
-  for (int i = 0; i < 2; ++i) {
-    TAKE(moved[i], double, (size_t)t->n[1])
-  }
+  for (int i = 0; i < 2; ++i) TAKE(moved[i], double, (size_t)t->n[1])
   TAKE(kept, unsigned char, (size_t)t->n[0] * (size_t)t->n[1])
   TAKE(risen, float, cells)
   TAKE(under, double, bins)
@@ -107,9 +97,7 @@ static size_t lay_out(const lts_soil_model *m, const lts_soil_tool *tool, const 
   TAKE(inputs, float, lanes * ld)
   TAKE(sides, float, rows * ld_side)
   TAKE(a, float, rows * own)
-  for (int i = 0; i < 2; ++i) {
-    TAKE(rows[i], float, lanes * wide) /* lanes are more than the two sides of all strips */
-  }
+  for (int i = 0; i < 2; ++i) TAKE(rows[i], float, lanes * wide) /* lanes are more than the two sides of all strips */
   TAKE(bias, float, (size_t)m->n_column * own)
   TAKE(out, float, lanes * LTS_PANEL)
   TAKE(loads, float, 6 * members)
@@ -127,7 +115,7 @@ static void fit_tool(lts_soil *soil) {
   const lts_soil_model *m = soil->model;
   const lts_soil_tool *t = &soil->tool;
   const lts_terrain *ground = soil->terrain;
-  const double s = soil->scale = scale_of(m, t), degree = 3.14159265358979323846 / 180.0;
+  const double s = soil->scale = scale_of(m, t), degree = LTS_PI / 180.0;
   const double friction = tan(ground->friction_angle_deg * degree);
   const double weight = ground->density * ground->gravity / (m->standard_density * m->standard_gravity);
   const double edge = t->radius / s + m->bucket_edge * t->bucket;
@@ -164,11 +152,8 @@ int lts_soil_init(const lts_soil_model *m, const lts_soil_tool *tool, lts_terrai
   int found = 0;
   const lts_kernels *run = lts_find_kernels(kernel, &found);
   if (!run) return LTS_ERROR_VALUE;
-  char *base = (char *)memory;
-  base += (LTS_ALIGNMENT - (uintptr_t)base % LTS_ALIGNMENT) % LTS_ALIGNMENT;
-  memset(base, 0, lay_out(m, tool, terrain, NULL, NULL));
-  lts_soil *soil = (lts_soil *)(void *)base;
-  lay_out(m, tool, terrain, base, soil);
+  lts_soil *soil = lts_cleared(memory, lay_out(m, tool, terrain, NULL, NULL));
+  lay_out(m, tool, terrain, (char *)soil, soil);
   soil->model = m;
   soil->run = run;
   soil->terrain = terrain;

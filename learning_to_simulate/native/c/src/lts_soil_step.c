@@ -152,9 +152,8 @@ static int judge(const lts_soil *soil, const lts_passage *p, const lts_pose *pos
                  int frame, lts_judgement *found) {
   const lts_soil_model *m = soil->model;
   const int n = m->n_judged;
-  const lts_judgement well = {LTS_OK, -1, -1, -1, 0.0, 0.0, 0.0};
   double values[LTS_SOIL_SCALARS];
-  *found = well;
+  *found = lts_well;
   if (!is_finite) {
     const lts_judgement none = {LTS_NON_FINITE, frame, -1, -1, NAN, -HUGE_VAL, HUGE_VAL};
     *found = none;
@@ -207,9 +206,8 @@ static void answer(lts_soil *soil, const lts_passage *p, const lts_pose *pose, c
     out->spread[i] = sqrt(square / members);
     is_finite &= isfinite(mean[i]) != 0;
   }
-  const double *weights = soil->model->bound, *spread = out->spread;
-  const double apart = sqrt(spread[0] * spread[0] + spread[1] * spread[1] + spread[2] * spread[2]);
-  const double size = sqrt(mean[0] * mean[0] + mean[1] * mean[1] + mean[2] * mean[2]);
+  const double *weights = soil->model->bound;
+  const double apart = lts_length(out->spread, 3), size = lts_length(mean, 3);
   out->bound = members < soil->model->n_member || weights[0] < 0.0
                    ? NAN
                    : weights[0] * soil->units[0] + weights[1] * apart + weights[2] * size;
@@ -293,14 +291,11 @@ static int check_step(const lts_soil *soil, const lts_pose *pose, double dt, lts
   if (!soil->writes) return LTS_ERROR_CALL; /* an anchor has no loads */
   const lts_soil_model *m = soil->model;
   if (!lts_soil_unit_pose(pose, unit) || !(dt > 0.0 && isfinite(dt))) return LTS_ERROR_VALUE;
-  const double *a = unit->position, *b = soil->pose.position;
-  const double x = a[0] - b[0], y = a[1] - b[1], z = a[2] - b[2];
-  double cosine = 0.0;
+  double way[3], cosine = 0.0;
+  for (int i = 0; i < 3; ++i) way[i] = unit->position[i] - soil->pose.position[i];
   for (int i = 0; i < 4; ++i) cosine += unit->rotation[i] * soil->pose.rotation[i];
   const double turn = 2.0 * acos(fmin(fabs(cosine), 1.0));
-  if (!(sqrt(x * x + y * y + z * z) / dt <= m->fastest && turn / dt <= m->fastest_turn)) {
-    return LTS_ERROR_JUMP;
-  }
+  if (!(lts_length(way, 3) / dt <= m->fastest && turn / dt <= m->fastest_turn)) return LTS_ERROR_JUMP;
   return is_under_floor(soil, unit) ? LTS_ERROR_PLACE : LTS_OK;
 }
 
@@ -325,8 +320,8 @@ static int turns_away(lts_soil *soil, const lts_pose *pose, lts_passage **fresh)
   return !lts_soil_find_loads(soil, *fresh, 1, soil->loads);
 }
 
-/* `Passage.renewed`, in the other place; numbers of cells that come out of sight go to `soil->gone`. */
-static int renew(lts_soil *soil, lts_passage **out, int32_t *n_gone) {
+/* `Passage.renewed`, in the other place; its cells that are gone are those that come out of sight. */
+static int renew(lts_soil *soil, lts_passage **out) {
   const lts_way *old = &soil->passage[soil->now].s;
   lts_place place;
   lts_soil_lay(soil, &soil->passage[soil->now], soil->model->flat, &place);
@@ -341,30 +336,33 @@ static int renew(lts_soil *soil, lts_passage **out, int32_t *n_gone) {
   }
   p->s.speed = old->speed;
   const lts_cells *left = &soil->cells[!p->s.cells], *c = &soil->cells[p->s.cells];
-  *n_gone = 0;
   for (int32_t k = 0, i = 0; k < left->n; ++k) {
     while (i < c->n && c->number[i] < left->number[k]) ++i;
-    if (i == c->n || c->number[i] != left->number[k]) soil->gone[(*n_gone)++] = left->number[k];
+    if (i == c->n || c->number[i] != left->number[k]) soil->gone[p->s.n_gone++] = left->number[k];
   }
   return LTS_OK;
+}
+
+/* What comes before a step: whether it begins the new passage `fresh`. */
+static int prepare(lts_soil *soil, const lts_pose *pose, double dt, lts_pose *unit, lts_passage **fresh) {
+  LTS_TRY(check_step(soil, pose, dt, unit));
+  LTS_TRY(lts_soil_meet_others(soil));
+  return turns_away(soil, unit, fresh);
 }
 
 int lts_soil_step(lts_soil *soil, const lts_pose *pose, double dt, lts_soil_result *result) {
   lts_pose unit;
   lts_passage *p = NULL;
-  LTS_TRY(check_step(soil, pose, dt, &unit));
-  LTS_TRY(lts_soil_meet_others(soil));
-  const int away = turns_away(soil, &unit, &p);
+  const int away = prepare(soil, pose, dt, &unit, &p);
   LTS_TRY(away);
   if (away) {
     finish(soil, &soil->passage[soil->now]);
     soil->now = !soil->now;
   } else {
     if (lts_soil_is_due(soil, &soil->passage[soil->now])) {
-      int32_t n_gone;
-      LTS_TRY(renew(soil, &p, &n_gone));
+      LTS_TRY(renew(soil, &p));
       soil->now = !soil->now;
-      if (n_gone) lts_soil_settle(soil, soil->gone, n_gone, p);
+      lts_soil_settle(soil, soil->gone, p->s.n_gone, p);
     }
     p = &soil->passage[soil->now];
     LTS_TRY(lts_soil_go(soil, p, &unit, dt));
@@ -373,7 +371,7 @@ int lts_soil_step(lts_soil *soil, const lts_pose *pose, double dt, lts_soil_resu
   answer(soil, p, &unit, &before, soil->result.passage + away, &soil->result);
   soil->pose = unit;
   if (soil->frame < INT32_MAX) ++soil->frame;
-  if (p->s.n_gone) lts_soil_settle(soil, soil->gone, p->s.n_gone, p);
+  lts_soil_settle(soil, soil->gone, p->s.n_gone, p);
   if (result) *result = soil->result;
   return soil->result.status;
 }
@@ -381,14 +379,11 @@ int lts_soil_step(lts_soil *soil, const lts_pose *pose, double dt, lts_soil_resu
 int lts_soil_propose(lts_soil *soil, const lts_pose *pose, double dt, lts_soil_result *result) {
   lts_pose unit;
   lts_passage *p = NULL;
-  LTS_TRY(check_step(soil, pose, dt, &unit));
-  LTS_TRY(lts_soil_meet_others(soil));
-  const int away = turns_away(soil, &unit, &p);
+  const int away = prepare(soil, pose, dt, &unit, &p);
   LTS_TRY(away);
   if (!away) {
-    int32_t n_gone;
     p = &soil->passage[!soil->now];
-    if (lts_soil_is_due(soil, &soil->passage[soil->now])) LTS_TRY(renew(soil, &p, &n_gone));
+    if (lts_soil_is_due(soil, &soil->passage[soil->now])) LTS_TRY(renew(soil, &p));
     else lts_soil_copy(soil, p, &soil->passage[soil->now]);
     LTS_TRY(lts_soil_go(soil, p, &unit, dt));
   }
@@ -446,13 +441,6 @@ int lts_soil_place(const lts_soil *soil, double *out) {
     out[3 * i + 1] = 0.0;
     out[3 * i + 2] = of[i][1];
   }
-  return LTS_OK;
-}
-
-int lts_soil_footprint(const lts_soil *soil, double *out) {
-  LTS_TRY(lts_soil_check_started(soil));
-  if (!out) return LTS_ERROR_NULL;
-  lts_soil_sight(soil, out);
   return LTS_OK;
 }
 

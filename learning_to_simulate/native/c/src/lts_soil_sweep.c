@@ -64,8 +64,8 @@ void lts_soil_shift(lts_soil *soil, lts_passage *p, double origin, int shift) {
   const int first = shift > 0 ? kept : 0; /* of the new bins */
   for (int j = 0; j < p->s.n_strip; ++j) {
     const size_t row = LTS_SOIL_ROW(soil, j);
-    double *of[LTS_SOIL_ROWS] = {p->surface + row, p->profile + row, p->last + row, p->area_before + row,
-                                 p->struck + row};
+    double *of[LTS_SOIL_ROWS];
+    lts_soil_rows(p, row, of);
     const int lost = shift > 0 ? 0 : kept; /* the first bin that is dropped */
     p->s.dropped[j] += soil->model->spacing * sum_of_cuts(of[0], of[1], lost, lost + n - kept);
     for (int i = 0; kept && i < LTS_SOIL_ROWS; ++i) {
@@ -124,7 +124,7 @@ static void find_pressed(const lts_soil *soil, const lts_passage *p, double foun
   const int count = lts_soil_under(soil, p, &under);
   for (int j = 0; j < p->s.n_strip; ++j) found[j] = 0.0;
   if (m->kind != LTS_SOIL_BLADE) return;
-  const double right = 0.5 * 3.14159265358979323846; /* `Blade.back` */
+  const double right = 0.5 * LTS_PI; /* `Blade.back` */
   const double angle = fmin(fmax((is_bucket ? m->floor_angle : right) - p->s.pose[2], 0.0), right);
   const double length = fmax((is_bucket ? m->floor_share : 1.0) * tool->length - 2.0 * tool->radius, 0.0);
   const double sine = sin(angle), cosine = cos(angle), du = m->spacing, last = length / soil->scale * cosine;

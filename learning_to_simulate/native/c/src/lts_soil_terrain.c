@@ -77,11 +77,14 @@ static double reach_across(const lts_soil *soil) {
   return soil->width / 2.0 + soil->model->n_beside * soil->model->beside_width;
 }
 
-/* Corners [4] (x, z, m) of what lies between places low and high along the way and near enough across. */
-static void corners_of(const lts_soil *soil, const lts_place *place, double low, double high, double out[4][2]) {
+/* Corners [4] (x, z, m) of what lies between the first and the last bin and near enough across. */
+static void corners_in_sight(const lts_soil *soil, const lts_passage *p, double out[4][2]) {
+  const lts_soil_model *m = soil->model;
+  const lts_place *place = &p->s.place;
   const double reach = reach_across(soil);
   for (int corner = 0; corner < 4; ++corner) {
-    const double u = soil->scale * place->cosine * (corner & 2 ? high : low);
+    const double end = p->s.origin + lts_soil_offset(m, corner & 2 ? m->n_bin - 1 : 0);
+    const double u = soil->scale * place->cosine * end;
     const double across = soil->scale * (corner & 1 ? reach : -reach);
     for (int i = 0; i < 2; ++i) {
       out[corner][i] = u * place->along[i] + across * place->across[i] + place->origin[i];
@@ -89,14 +92,19 @@ static void corners_of(const lts_soil *soil, const lts_place *place, double low,
   }
 }
 
-static void corners_in_sight(const lts_soil *soil, const lts_passage *p, double out[4][2]) {
-  const lts_soil_model *m = soil->model;
-  const double low = p->s.origin + lts_soil_offset(m, 0);
-  corners_of(soil, &p->s.place, low, p->s.origin + lts_soil_offset(m, m->n_bin - 1), out);
+/* Takes a cell into the rows and columns from low to high. */
+static void span_cell(const lts_terrain *t, int32_t cell, int low[2], int high[2]) {
+  const int at[2] = {cell / t->n[1], cell % t->n[1]};
+  for (int i = 0; i < 2; ++i) {
+    low[i] = at[i] < low[i] ? at[i] : low[i];
+    high[i] = at[i] > high[i] ? at[i] : high[i];
+  }
 }
 
-void lts_soil_sight(const lts_soil *soil, double out[3]) {
+int lts_soil_footprint(const lts_soil *soil, double *out) {
   double corners[4][2];
+  LTS_TRY(lts_soil_check_started(soil));
+  if (!out) return LTS_ERROR_NULL;
   corners_in_sight(soil, &soil->passage[soil->now], corners);
   out[2] = 0.0;
   for (int i = 0; i < 2; ++i) {
@@ -105,6 +113,7 @@ void lts_soil_sight(const lts_soil *soil, double out[3]) {
   for (int k = 0; k < 4; ++k) {
     out[2] = fmax(out[2], hypot(corners[k][0] - out[0], corners[k][1] - out[1]));
   }
+  return LTS_OK;
 }
 
 /* First and last row, or column, of the cells that may lie between corners. */
@@ -192,11 +201,7 @@ int lts_soil_meet(lts_soil *soil, lts_passage *p) {
     const double h = t->heights[c->number[k]];
     if (h == c->left[k]) continue;
     if (!isfinite(h)) return LTS_ERROR_VALUE;
-    const int at[2] = {c->number[k] / t->n[1], c->number[k] % t->n[1]};
-    for (int i = 0; i < 2; ++i) {
-      low[i] = at[i] < low[i] ? at[i] : low[i];
-      high[i] = at[i] > high[i] ? at[i] : high[i];
-    }
+    span_cell(t, c->number[k], low, high);
   }
   if (high[0] < 0) return LTS_OK; /* a 0 with another sign */
   /* What has changed, as a terrain of its own with nothing about it. */
@@ -251,10 +256,10 @@ int lts_soil_meet(lts_soil *soil, lts_passage *p) {
 int lts_soil_meet_others(lts_soil *soil) {
   lts_terrain *t = soil->terrain;
   double here[3], there[3];
-  lts_soil_sight(soil, here);
+  lts_soil_footprint(soil, here);
   for (const lts_soil *other = t->first; other; other = other->next) {
     if (other == soil || !other->started || !other->writes) continue;
-    lts_soil_sight(other, there);
+    lts_soil_footprint(other, there);
     if (!(hypot(there[0] - here[0], there[1] - here[1]) < here[2] + there[2])) continue;
     lts_terrain_update(t);
     break;
@@ -378,13 +383,7 @@ void lts_soil_settle(lts_soil *soil, const int32_t *cells, int32_t n, const lts_
   int least[2] = {INT32_MAX, INT32_MAX}, last[2] = {-1, -1}, low[2], high[2], margin[2];
   double lowest = HUGE_VAL, highest = -HUGE_VAL;
   if (!n) return;
-  for (int32_t k = 0; k < n; ++k) {
-    const int at[2] = {cells[k] / t->n[1], cells[k] % t->n[1]};
-    for (int i = 0; i < 2; ++i) {
-      least[i] = at[i] < least[i] ? at[i] : least[i];
-      last[i] = at[i] > last[i] ? at[i] : last[i];
-    }
-  }
+  for (int32_t k = 0; k < n; ++k) span_cell(t, cells[k], least, last);
   box_about(t, least, last, one, low, high);
   for (int i = low[0]; i < high[0]; ++i) {
     for (int j = low[1]; j < high[1]; ++j) {
@@ -394,7 +393,7 @@ void lts_soil_settle(lts_soil *soil, const int32_t *cells, int32_t n, const lts_
     }
   }
   /* As far as a heap of all that stands out here runs. */
-  const double friction = tan(t->friction_angle_deg * 3.14159265358979323846 / 180.0);
+  const double friction = tan(t->friction_angle_deg * LTS_PI / 180.0);
   for (int i = 0; i < 2; ++i) {
     const double run = ceil((highest - lowest) / (friction * t->cell[i])) + 1.0;
     margin[i] = (int)fmax(fmin(run, (double)t->n[i]), 1.0);

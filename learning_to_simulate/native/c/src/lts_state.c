@@ -20,17 +20,13 @@ int lts_describe(const lts_model *model, lts_description *out) {
 /* Walks the arrays of a state; `base` may be null, to count. */
 static size_t lay_out_state(const lts_model *m, char *base, lts_state *state) {
   const size_t n_node = (size_t)lts_n_node(m), n_rigid = (size_t)m->n_rigid;
-  size_t at = lts_aligned(sizeof(lts_head), 8);
-#define TAKE(field, type, count)                           \
-  if (base) state->field = (type *)(void *)(base + at);    \
-  at += lts_aligned((count) * sizeof(type), 8);
-  if (base) state->head = (lts_head *)(void *)base;
-  TAKE(context, double, (size_t)m->n_context)
-  TAKE(given, double, 3 * n_rigid)
-  TAKE(shape, double, m->correction ? 3 * n_rigid : 0)
-  TAKE(offset, float, 3 * n_node)
-  TAKE(velocity, float, 3 * n_node * (size_t)m->velocity_inputs)
-#undef TAKE
+  size_t at = 0;
+  LTS_TAKE(state->head, lts_head, 1, 8);
+  LTS_TAKE(state->context, double, (size_t)m->n_context, 8);
+  LTS_TAKE(state->given, double, 3 * n_rigid, 8);
+  LTS_TAKE(state->shape, double, m->correction ? 3 * n_rigid : 0, 8);
+  LTS_TAKE(state->offset, float, 3 * n_node, 8);
+  LTS_TAKE(state->velocity, float, 3 * n_node * (size_t)m->velocity_inputs, 8);
   return at;
 }
 
@@ -50,11 +46,8 @@ static size_t lay_out(const lts_model *m, char *base, lts_instance *soil) {
   size_t at = lts_aligned(sizeof(lts_instance), LTS_ALIGNMENT);
   if (base) lay_out_state(m, base + at, &soil->state);
   at += lts_aligned(state_bytes(m), LTS_ALIGNMENT);
-  if (base) soil->history = (double *)(void *)(base + at);
-  at += lts_aligned(LTS_HISTORY * 3 * n_node * sizeof(double), LTS_ALIGNMENT);
-#define TAKE(field, count)                              \
-  if (base) soil->field = (float *)(void *)(base + at); \
-  at += lts_aligned((count) * sizeof(float), LTS_ALIGNMENT);
+  LTS_TAKE(soil->history, double, LTS_HISTORY * 3 * n_node, LTS_ALIGNMENT);
+#define TAKE(field, count) LTS_TAKE(soil->field, float, count, LTS_ALIGNMENT);
   TAKE(edges, (size_t)m->n_edge * (m->n_step > 1 ? 2 : 1) * latent)
   TAKE(weight, (size_t)m->n_edge)
   TAKE(columns, n_node * (size_t)lts_column_stride(m))
@@ -81,11 +74,8 @@ int lts_init(const lts_model *model, void *memory, size_t size, int kernel, lts_
   int found = 0;
   const lts_kernels *run = lts_find_kernels(kernel, &found);
   if (!run) return LTS_ERROR_VALUE;
-  char *base = (char *)memory;
-  base += (LTS_ALIGNMENT - (uintptr_t)base % LTS_ALIGNMENT) % LTS_ALIGNMENT;
-  memset(base, 0, lay_out(model, NULL, NULL));
-  lts_instance *soil = (lts_instance *)(void *)base;
-  lay_out(model, base, soil);
+  lts_instance *soil = lts_cleared(memory, lay_out(model, NULL, NULL));
+  lay_out(model, (char *)soil, soil);
   soil->model = model;
   soil->run = run;
   soil->kernel = found;

@@ -111,8 +111,7 @@ int lts_check_predicted(lts_instance *soil, int frame) {
     if (!isfinite(force[axis])) bits |= not_finite(soil, frame, -1, axis, force[axis]);
   }
   if (m->force_range) {
-    const double size = sqrt(force[0] * force[0] + force[1] * force[1] + force[2] * force[2]);
-    bits |= outside(soil, LTS_LEFT_BOUNDS, frame, -1, -1, size, m->force_range, 0, 1);
+    bits |= outside(soil, LTS_LEFT_BOUNDS, frame, -1, -1, lts_length(force, 3), m->force_range, 0, 1);
   }
   return bits;
 }
@@ -120,8 +119,7 @@ int lts_check_predicted(lts_instance *soil, int frame) {
 int lts_judge(const lts_instance *soil, lts_judgement *out) {
   LTS_TRY(lts_check_started(soil));
   if (!out) return LTS_ERROR_NULL;
-  const lts_judgement well = {LTS_OK, -1, -1, -1, 0.0, 0.0, 0.0};
-  *out = well;
+  *out = lts_well;
   for (int kind = 0; kind < LTS_N_WORSE; ++kind) {
     const lts_judgement *worst = &soil->state.head->worst[kind];
     if (worst->frame >= 0) *out = *worst;
