@@ -171,18 +171,18 @@ class TrainedModel:
         return engines.stepper(self.model, starts, space, engine, step, outside=outside)
 
     def rollout(self, path, velocity=None, case: int | None = None, context=None):
-        """Rolls out a whole path, several one after the other, or a recorded run.
+        """Rolls out a whole path, or a recorded run.
 
         Args:
           path: [T, 7] or [T, 3] poses of the body, one a frame (see `poses`): the body is at the
-            first when the rollout starts, and the rollout has the T - 1 frames after it. Or a list
-            of such paths; or a `Run` of a dataset.
+            first when the rollout starts, and the rollout has the T - 1 frames after it. Or a `Run`
+            of a dataset.
           velocity, case: of `Stepper.start`; the velocity is by default that of the first two
             poses.
           context: likewise, or [T, C] where it changes in time.
 
         Returns:
-          `paths.SoilRollout`, or a list of them.
+          `paths.SoilRollout`.
 
         Raises:
           ValueError: not a path; a run of a dataset that the model does not fit.
@@ -191,12 +191,7 @@ class TrainedModel:
             return self._of_run(path)
         from learning_to_simulate.live import paths
 
-        several = isinstance(path, (list, tuple)) and len(path) and np.ndim(path[0]) == 2
-        results = [
-            paths.roll_out(self._roller, p, velocity, case, context)
-            for p in (path if several else [path])
-        ]
-        return results if several else results[0]
+        return paths.roll_out(self._roller, path, velocity, case, context)
 
     @functools.cached_property
     def _roller(self):
@@ -227,21 +222,23 @@ class TrainedModel:
         return Decoder(space.truncated(self.scene.n_modes), self.scene.up_axis)
 
     def _opened(self, split):
-        """The model with the runs of a split. That of the newest one is kept, so that rollouts of
-        single runs compile once; a new `Dataset` is read anew, as its files may have changed."""
+        """The model with the runs of a split. The newest is kept, so that rollouts of single runs
+        compile once; a new `Dataset` is read anew, as its files may have changed."""
         if self._newest is None or self._newest[0] is not split:
             self._newest = split, registry.open_model(self.path, split.folder, split.name)
         return self._newest[1]
 
-    def evaluate(self, split: Split, progress=iter) -> Evaluation:
-        """Rolls out every run of a split, such as `Dataset('excavation').test`; `progress` wraps
-        the iterable of runs, e.g. `tqdm.tqdm`.
+    def evaluate(self, split, progress=iter) -> Evaluation:
+        """Rolls out every run of a split, such as `Dataset('excavation').test`; of a soil field,
+        also of a list of splits of several datasets. `progress` wraps the iterable of runs, e.g.
+        `tqdm.tqdm`.
 
         Raises:
           FileNotFoundError, ValueError: no such split, or a dataset that the model does not fit.
         """
-        opened = self._opened(split)
-        return Evaluation(opened.evaluator.run(opened.groups, split.name, progress)[1])
+        splits = split if isinstance(split, (list, tuple)) else [split]
+        opened = self._opened(*splits)
+        return Evaluation(opened.evaluator.run(opened.groups, splits[0].name, progress)[1])
 
     def export(self, path: str, data: Dataset, kind: str = 'savedmodel') -> dict:
         """Writes a model that runs without this project to a folder `path`, absent or empty, and
@@ -261,15 +258,7 @@ class TrainedModel:
 
 
 class TerrainModel(TrainedModel):
-    """A trained model of a tool anywhere on a terrain, `model` a `soil_field.field.SoilField`.
-
-    model = lts.load('my_soil_field')
-    ground = lts.Terrain.flat((12.0, 3.0), height=0.25)
-    live = model.stepper(ground, lts.Blade(width=0.4))
-    live.start(pose)
-    frame = live.step(next_pose)     # frame.force, frame.torque, frame.status
-    ground.heights                   # as the tool has left them
-    """
+    """A trained model of a tool anywhere on a terrain, `model` a `soil_field.field.SoilField`."""
 
     def __repr__(self) -> str:
         return f'<soil field {self.path!r} of a {self.model.networks.tool.name}>'
@@ -336,7 +325,7 @@ class TerrainModel(TrainedModel):
         if isinstance(path, Run):
             if not (terrain is tool is dt is None):
                 raise ValueError('a recorded run has its own terrain, tool and time step')
-            opened = self._of_splits([path.split])
+            opened = self._opened(path.split)
             return opened.evaluator.roll_out(opened.groups[path.index], under_load)
         if under_load:
             raise ValueError('under_load is for recorded runs: lts.LoadedTool moves others')
@@ -349,13 +338,7 @@ class TerrainModel(TrainedModel):
         whole = [poses.read_pose(p, up_axis=1, lateral=middle) for p in values]
         return roll_out(stepper, whole, DT if dt is None else dt)
 
-    def evaluate(self, split, progress=iter) -> Evaluation:
-        """As of `TrainedModel`, of a split or of a list of splits of several datasets."""
-        splits = list(split) if isinstance(split, (list, tuple)) else [split]
-        opened = self._of_splits(splits)
-        return Evaluation(opened.evaluator.run(opened.groups, splits[0].name, progress)[1])
-
-    def _of_splits(self, splits):
+    def _opened(self, *splits):
         names = sorted({part.name for part in splits})
         if len(names) != 1:
             raise ValueError(f'splits are {names}: some of one name were expected')

@@ -10,7 +10,6 @@ from collections.abc import Iterator
 from pca_tools.command import HELP as HELP
 from pca_tools.command import start as start
 
-_WRAPPED = ('sklearn', 'matplotlib')  # loaded by Keras
 _TRUTHS = {'true': True, '1': True, 'false': False, '0': False}
 
 
@@ -84,7 +83,7 @@ def import_tensorflow(num_threads: int | None = None) -> None:
 def import_keras() -> None:
     """Imports Keras, for training; scikit-learn and matplotlib, which it loads for wrappers that
     nothing here uses, are a third of its time and that of TensorFlow together."""
-    with _absent(*_WRAPPED):
+    with _absent('sklearn', 'matplotlib'):
         import keras  # noqa: F401
 
 

@@ -73,14 +73,13 @@ def summarise(results, model, metadata: dict, split: str) -> dict:
             'stay_still': metrics.stay_still(recorded[:, :H], n_frame),
             'constant_velocity': metrics.constant_velocity(recorded[:, :H], n_frame),
         }
-        forces = dict.fromkeys(methods)
+        forces = {}
         if scene.has_force:
+            true_force = group.force[:, H:]
             forces = {
                 'model': rollout.force,
                 'stay_still': np.repeat(group.force[:, H - 1 : H], n_frame, axis=1),
-                'constant_velocity': np.broadcast_to(
-                    statistics.force_mean, group.force[:, H:].shape
-                ),
+                'constant_velocity': np.broadcast_to(statistics.force_mean, true_force.shape),
             }
         for name, rows in methods.items():
             position, truth = positions[name], recorded[:, H:]
@@ -89,8 +88,8 @@ def summarise(results, model, metadata: dict, split: str) -> dict:
                 errors['height_mm'] = metrics.height_mm(position, truth, n_rigid, scene.up_axis)
             errors['soil_mse'] = metrics.soil_mse(position, truth, n_rigid, scene.n_soil)
             errors['soil_mm'] = [soil.soil_mm(soil.of_modes(position[0, :, n_rigid:]))]
-            if forces[name] is not None:
-                errors |= metrics.load_errors(forces[name], group.force[:, H:], axes)
+            if forces:
+                errors |= metrics.load_errors(forces[name], true_force, axes)
             rows.append({'record': record} | {k: float(v[0]) for k, v in errors.items()})
         methods['model'][-1] |= {
             **rollout.judgements[0].fields(),
@@ -98,33 +97,29 @@ def summarise(results, model, metadata: dict, split: str) -> dict:
             'milliseconds_per_step': 1e3 * rollout.seconds / n_frame,
             'seconds_per_simulated_second': rollout.seconds / (n_frame * scene.dt),
         }
-    return _summary(methods, truths, scene)
+    floors = metadata.get('projection_mse', {}).get(split)
+    return _summary(methods, scene, soil.space, floors)
 
 
 class _Truths:
     """The `soil_truth.SoilTruth` of runs; a dataset is opened once."""
 
     def __init__(self, metadata, split, scene):
-        self._metadata, self._n_soil = metadata, scene.n_soil
-        self.floors = metadata.get('projection_mse', {}).get(split)
-        self._split, self._readers, self.space = split, {}, ''
+        self._metadata, self._split, self._n_soil = metadata, split, scene.n_soil
+        self._readers = {}
 
     def of(self, group, nodes):
         """Of a one-run group whose soil nodes are [T, r, 3]."""
         folder, split = group.source or ('', self._split)
         if not folder and not self._metadata:
-            found = soil_truth.of_nodes(nodes, self._n_soil, space=soil_truth.PARTICLES)
-        else:
-            if folder not in self._readers:
-                metadata = None if folder else self._metadata
-                self._readers[folder] = soil_truth.TruthReader(folder, metadata)
-            reader = self._readers[folder]
-            found = reader.read(split, int(group.record[0]), nodes, self._n_soil)
-        self.space = found.space
-        return found
+            return soil_truth.of_nodes(nodes, self._n_soil, space=soil_truth.PARTICLES)
+        if folder not in self._readers:
+            metadata = None if folder else self._metadata
+            self._readers[folder] = soil_truth.TruthReader(folder, metadata)
+        return self._readers[folder].read(split, int(group.record[0]), nodes, self._n_soil)
 
 
-def _summary(methods, truths, scene):
+def _summary(methods, scene, space, floors):
     mean = {}
     for name, rows in methods.items():
         keys = [k for k, v in rows[0].items() if isinstance(v, float)]
@@ -135,11 +130,10 @@ def _summary(methods, truths, scene):
         if 'force_mpe' in mean[name]:
             mean[name]['force_abs_mpe'] = float(np.mean([abs(row['force_mpe']) for row in rows]))
     best = min(mean[name]['soil_mse'] for name in ('stay_still', 'constant_velocity'))
-    floors = truths.floors
     summary = {
         'scene': scene.name,
         'rigid_motion': str(scene.rigid_motion),
-        'soil_error': truths.space,
+        'soil_error': space,
         'mean': mean,
         'soil_mse_over_best_trivial': mean['model']['soil_mse'] / best if best > 0 else None,
         'projection_mse': None if floors is None else float(np.mean(floors)),
@@ -290,12 +284,10 @@ def table(summary: dict) -> str:
     for row in summary['runs']['model']:
         if row['status'] != RolloutStatus.OK:
             case = f' ({row["case"]})' if 'case' in row else ''
-            where = f'from frame {row["first_bad_frame"]}'
-            if row['first_bad_node'] >= 0:
-                where += f', node {row["first_bad_node"]}'
+            node = f', node {row["first_bad_node"]}' if row['first_bad_node'] >= 0 else ''
             lines.append(
-                f'warning: record {row["record"]}{case} is {row["status"]} {where}: '
-                f'{row["status_reason"]}'
+                f'warning: record {row["record"]}{case} is {row["status"]} from frame '
+                f'{row["first_bad_frame"]}{node}: {row["status_reason"]}'
             )
     return '\n'.join(lines)
 
@@ -321,10 +313,8 @@ def _medians(summary):
 
 def _cell(mean, key):
     if f'{key}_rmse' in mean:
-        size, share, peak = (
-            '-' if mean.get(f'{key}_{name}') is None else f'{mean[f"{key}_{name}"]:.3g}'
-            for name in ('rmse', 'relative_l2', 'peak_error')
-        )
+        values = (mean.get(f'{key}_{name}') for name in ('rmse', 'relative_l2', 'peak_error'))
+        size, share, peak = ('-' if value is None else f'{value:.3g}' for value in values)
         return '-' if size == '-' else f'{size} ({share}), {peak}'
     if mean.get(key) is None:
         return '-'

@@ -126,15 +126,18 @@ class MujocoSoil:
         self._check_time()
         self._spots = [self._spot(name) for name in self._names]
         self._bodies = [body for _, _, body in self._spots]
-        self._share_bodies = len(set(self._bodies)) < len(self._bodies)
         self._scale = np.tile(ARM, len(tools))
         self._radii = np.array([stepper.tool.radius for stepper in self._steppers])
         self.frames: dict[str, SoilFrame] = {}
         self.wrenches = np.zeros((len(tools), 6))
         self.rounds, self.gap = 0, 0.0
-        self._loads = np.zeros((len(tools), 6))  # about the places of the tools, axes of lts
-        self._slopes: list[Any] = [None] * len(tools)
-        self._damping, self._waited = [Damping() for _ in tools], np.inf
+        self._forget()
+
+    def _forget(self):
+        """Begins a run."""
+        self._loads = np.zeros_like(self.wrenches)  # about the places of the tools, axes of lts
+        self._slopes: list[Any] = [None] * len(self._names)
+        self._damping, self._waited = [Damping() for _ in self._names], np.inf
 
     def _check_time(self):
         if not 0 < self._model.opt.timestep <= DT * (1 + 1e-6):
@@ -173,8 +176,7 @@ class MujocoSoil:
         """
         self._apply(np.zeros_like(self.wrenches))
         mujoco.mj_forward(self._model, self._data)
-        self._slopes = [None] * len(self._names)
-        self._damping, self._waited = [Damping() for _ in self._names], np.inf
+        self._forget()
         found = {}
         for name, stepper, pose in zip(self._names, self._steppers, self._poses(), strict=True):
             with _naming(name):
@@ -247,11 +249,8 @@ class MujocoSoil:
 
     def _apply(self, wrenches):
         """Puts loads in the place of those of the step before; the user's own stay."""
-        rows, change = self._data.xfrc_applied, wrenches - self.wrenches
-        if self._share_bodies:
-            np.add.at(rows, self._bodies, change)
-        else:
-            rows[self._bodies] += change
+        for body, change in zip(self._bodies, wrenches - self.wrenches, strict=True):
+            self._data.xfrc_applied[body] += change
         self.wrenches = wrenches
 
     def _fly(self, poses, dt):
@@ -263,18 +262,16 @@ class MujocoSoil:
         is_slow = (np.abs(poses - last) < 0.9 * dt * _SLOW).all()
         if is_slow and (poses[:, 1] - self._radii > self.terrain.floor).all():
             return [False] * len(poses)  # as `refuse_step` says of each, in ten times as long
-        tools = zip(self._names, self._steppers, poses, strict=True)
-        return [self._flies(*tool, dt) for tool in tools]
-
-    def _flies(self, name, stepper, pose, dt):
-        with _naming(name):
+        flies = [False] * len(poses)
+        for j, (name, stepper) in enumerate(zip(self._names, self._steppers, strict=True)):
             try:
-                refuse_step(pose, stepper.frame.pose, dt, stepper.tool, stepper.terrain)
+                refuse_step(poses[j], last[j], dt, stepper.tool, self.terrain)
             except ValueError:
-                if not self._is_clear(stepper, pose):
-                    raise
-                return True
-        return False
+                flies[j] = self._is_clear(stepper, poses[j])
+                if not flies[j]:
+                    with _naming(name):
+                        raise
+        return flies
 
     def _is_clear(self, stepper, pose):
         terrain, tool = self.terrain, stepper.tool
@@ -438,10 +435,9 @@ class MujocoSoil:
     def draw(self, view=None) -> None:
         """Writes the terrain into its height field (see `add_height_field`), which a `view` shows:
         a `mujoco.Renderer` or the handle of a passive viewer; or None."""
-        m, number = self._model, mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_HFIELD, FIELD)
-        if number < 0 or m.hfield_ncol[number] * m.hfield_nrow[number] != np.prod(
-            self.terrain.shape
-        ):
+        m, cells = self._model, np.prod(self.terrain.shape)
+        number = mujoco.mj_name2id(m, mujoco.mjtObj.mjOBJ_HFIELD, FIELD)
+        if number < 0 or m.hfield_ncol[number] * m.hfield_nrow[number] != cells:
             raise ValueError(
                 f'the model has no height field {FIELD!r} of {self.terrain.shape} cells: call '
                 f'add_height_field(spec, terrain) before spec.compile()'

@@ -23,10 +23,12 @@ particles where the dataset holds a sample of them, else it is rebuilt from the 
 subspace.npz; without one the body and the curves are drawn.
 """
 
+import importlib
 import os
 import time
 import zipfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from types import ModuleType
 
 import numpy as np
 import tqdm
@@ -47,11 +49,17 @@ def draw_terrain(arrays, path: str, **options) -> None:
     options of `terrain_views.draw`. ValueError: another ending, or a package for pictures is
     missing."""
     _, kind = target_and_format(path)
+    _drawing('terrain_views').draw(arrays, path, kind, **options)
+
+
+def _drawing(name: str) -> ModuleType:
+    """A module of `rendering`; ValueError where a package for pictures is missing."""
     try:
-        from learning_to_simulate.rendering import terrain_views
+        return importlib.import_module(f'learning_to_simulate.rendering.{name}')
     except ModuleNotFoundError as error:
-        raise ValueError(f'pictures need {error.name}: pip install .[viz]') from error
-    terrain_views.draw(arrays, path, kind, **options)
+        raise ValueError(
+            f'pictures need {error.name}: pip install .[viz] (--format=vtp does not)'
+        ) from error
 
 
 def target_and_format(path: str) -> tuple[str, str]:
@@ -127,20 +135,14 @@ def render_frames(
             vtk_export.write_rollout(folder, frames, progress(drawn, name))
             written += [os.path.join(folder, f'{which}.pvd') for which in frames.shown]
             continue
-        try:
-            from learning_to_simulate.rendering import movie_files, particle_views, rollout_figures
-        except ModuleNotFoundError as error:
-            raise ValueError(
-                f'pictures need the package {error.name}: pip install .[viz] (--format=vtp does '
-                'not)'
-            ) from error
-        path, view = f'{target}.{name}', particle_views.setup(frames, plane, drawn)
+        figures, movie_files = _drawing('rollout_figures'), _drawing('movie_files')
+        path, view = f'{target}.{name}', _drawing('particle_views').setup(frames, plane, drawn)
         written.append(path)
         if name == 'png':
-            strip = rollout_figures.strip_figure(frames, view, drawn.tolist(), _DPI[name], beside)
+            strip = figures.strip_figure(frames, view, drawn.tolist(), _DPI[name], beside)
             movie_files.write_png(path, strip)
         else:
-            figure = rollout_figures.AnimatedFigure(frames, view, color_by, _DPI[name], beside)
+            figure = figures.AnimatedFigure(frames, view, color_by, _DPI[name], beside)
             pixels = (figure.draw(int(i)) for i in progress(drawn, name))
             movie_files.write(path, name, pixels, stride * apart * frames.dt)
     return written
@@ -173,17 +175,10 @@ def run(values) -> None:
     beside = command.named_paths('beside', values.beside, 'FILE')
     started = time.perf_counter()
     frames, written = render(
-        values.rollout_path,
-        values.data_path,
-        values.output_path,
-        formats=values.format,
-        step_stride=values.step_stride,
-        color_by=values.color_by,
-        plane=values.plane,
-        label=values.label,
+        values.rollout_path, values.data_path, values.output_path, values.format, values.label,
+        beside, step_stride=values.step_stride, color_by=values.color_by, plane=values.plane,
         progress=lambda drawn, label: tqdm.tqdm(drawn, desc=label, unit='frame', disable=None),
-        beside=beside,
-    )
+    )  # fmt: skip
     print(frames.title)
     if frames.has_truth:
         print(f'{frames.model}: soil error {frames.soil_mm:.2f} mm {frames.space}')
@@ -196,10 +191,7 @@ def run(values) -> None:
 
 if __name__ == '__main__':
     flags.DEFINE_string(
-        'rollout_path',
-        None,
-        'rollout_{split}_{i}.npz, as train --mode=eval_rollout writes it.',
-        required=True,
+        'rollout_path', None, 'rollout_{split}_{i}.npz of `lts evaluate`.', required=True
     )
     flags.DEFINE_string(
         'data_path', None, 'Dataset folder with subspace.npz; without one no soil is drawn.'
@@ -208,12 +200,10 @@ if __name__ == '__main__':
     flags.DEFINE_integer('step_stride', 3, 'Draw every n-th frame.', 1)
     flags.DEFINE_enum('color_by', 'speed', ('speed', 'error'), 'What colours the soil.')
     flags.DEFINE_enum(
-        'plane',
-        None,
-        list(rollout_frames.PLANES),
+        'plane', None, list(rollout_frames.PLANES),
         'Horizontal and vertical axis of the view; default: from the side, upward axis up. With y '
         'up xz is from above, zy along the drive.',
-    )
+    )  # fmt: skip
     flags.DEFINE_string('label', '', 'Name of the model, for the title of the prediction.')
     flags.DEFINE_list(
         'beside', [], 'NAME=FILE of other rollouts of the same run, drawn beside the first.'

@@ -12,7 +12,7 @@ import numpy as np
 
 from learning_to_simulate import normalization
 from learning_to_simulate.axes import without_height
-from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.scene import RigidMotion
 
 # A predicted node may leave the hull of its training positions by half of it on either side, and a
@@ -143,9 +143,9 @@ class Ranges(NamedTuple):
         return Judgement(status, first + int(frame), -1, reason)
 
 
-def _limits(low, high, factor):
-    """[4, ...]: least and most that is not outside, and the range of training."""
-    return np.stack([*widened(low, high, factor), low, high])
+def _limits(limits, factor):
+    """[4, ...]: least and most that is not outside, and the range of training [2, ...]."""
+    return np.stack([*widened(*limits, factor), *limits])
 
 
 class NodeRanges:
@@ -170,8 +170,8 @@ class NodeRanges:
         # Soil particles share one range, modes have one each.
         node_class = np.minimum(node_class, statistics.position_range.shape[1] - 1)
         extra = 1 + 2 * RANGE_MARGIN
-        self.bounds = _limits(*statistics.position_range, BOUNDS_FACTOR)[:, node_class]  # type: ignore[call-arg]
-        self.start_limits = _limits(*statistics.position_range, extra)[:, node_class]  # type: ignore[call-arg]
+        self.bounds = _limits(statistics.position_range, BOUNDS_FACTOR)[:, node_class]
+        self.start_limits = _limits(statistics.position_range, extra)[:, node_class]
         self.force = None
         if force_limit is not None:
             self.force = np.array([[0.0], [BOUNDS_FACTOR * force_limit], [0.0], [force_limit]])
@@ -183,22 +183,27 @@ class NodeRanges:
             self.context = np.stack([low - more[0], high + more[1], low, high])
         if scene.rigid_motion.is_known and statistics.given_range is not None:
             self.motion = [
-                _limits(*limits, extra)  # type: ignore[call-arg]
-                for limits in (
-                    statistics.given_range, statistics.given_velocity_range,
-                    statistics.body_extent_range, statistics.body_speed_range,
-                )
-            ]  # fmt: skip
+                _limits(getattr(statistics, f'{name}_range'), extra)
+                for name in ('given', 'given_velocity', 'body_extent', 'body_speed')
+            ]
+
+    def history(self, frames, contexts) -> Judgement:
+        """The worst judgement of frames float64 [H, V, D], m, that are given as a whole; arguments
+        of `start`: of each frame its context [C], None where it is that of the frame before."""
+        found = OK
+        for k, (frame, context) in enumerate(zip(frames, contexts)):
+            before = frames[k - 1, : self._n] if k else None
+            found = worse(found, self.start(frame, context, before, k))
+        return found
 
     def start(self, position, context=None, before=None, frame: int = 0) -> Judgement:
         """The judgement of a frame of a number that is given as a whole: position float64 [V, D],
         m, context [C] or None, and the body in the frame before [R, D], m (None where there is none
         or it rests)."""
-        body = position[: self._n]
         return (
             self._unlike_context(frame, context)
             or _first_outside(RolloutStatus.EXTRAPOLATING, position, self.start_limits, frame)
-            or self._unlike_motion(frame, body, before)
+            or self._unlike_motion(frame, position[: self._n], before)
             or OK
         )
 
@@ -209,13 +214,12 @@ class NodeRanges:
         (or [B D] of several bodies), N, or None; the body [R, D], m, as it was given in this frame
         and in the one before, None where its motion is predicted; the context [C] in this frame, or
         None where it is that of the last frame."""
-        predicted = self._predicted(frame, position, force)
-        if predicted is not OK:
-            return predicted
-        unlike = self._unlike_context(frame, context)
-        if not unlike and body is not None:
-            unlike = self._unlike_motion(frame, body, before)
-        return unlike or OK
+        return (
+            self._predicted(frame, position, force)
+            or self._unlike_context(frame, context)
+            or self._unlike_motion(frame, body, before)
+            or OK
+        )
 
     def _predicted(self, frame, position, force):
         bad, left = RolloutStatus.NON_FINITE, RolloutStatus.LEFT_BOUNDS
@@ -227,10 +231,10 @@ class NodeRanges:
         if found := _first_outside(left, position[n:], self.bounds[:, n:], frame, n):
             return found
         if force is None or self.force is None:
-            return OK
+            return None
         size, most = float(np.linalg.norm(np.asarray(force, float))), self.force[1, 0]
         if size <= most:
-            return OK
+            return None
         reason = f'force {size:.4g} N is above {BOUNDS_FACTOR:g} x the largest of training'
         return Judgement(left, frame, -1, f'{reason} ({most:.4g} N)')
 
@@ -242,7 +246,7 @@ class NodeRanges:
         return None if found is OK else found
 
     def _unlike_motion(self, frame, body, before):
-        if self.motion is None:
+        if self.motion is None or body is None:
             return None
         if self._driven:  # the height is not given: the up component holds the shape only
             up = self._scene.up_axis
@@ -280,25 +284,20 @@ def judge(
     """The status of each rolled-out run of a `RunGroup` of S runs, whose first H frames, body and
     context were the inputs: of predicted frames float64 [S, T - H, V, D], m, and forces [S, T - H,
     F], or None; `force_limit` as of `NodeRanges`."""
-    ranges = NodeRanges(group.n_rigid, statistics, scene, force_limit)
-    return [
-        _of_run(ranges, group, run, position[run], None if force is None else force[run])
-        for run in range(len(position))
-    ]
-
-
-def _of_run(ranges, group, run, position, force):
-    h, n = INPUT_SEQUENCE_LENGTH, group.n_rigid
-    given, found = group.position[run], OK
-    for k in range(len(given)):
-        body, before = given[k, :n], given[k - 1, :n] if k else None
-        context = None
-        if group.context is not None and (k == 0 or group.context_changes):
-            context = group.context_at(k, run)
-        if k < h:
-            now = ranges.start(given[k], context, before, k)
-        else:
-            of_frame = None if force is None else force[k - h]
-            now = ranges.judge(k, position[k - h], of_frame, body, before, context)
-        found = worse(found, now)
-    return found
+    n = group.n_rigid
+    ranges = NodeRanges(n, statistics, scene, force_limit)
+    judgements = []
+    for run, given in enumerate(group.position):
+        contexts = [
+            group.context_at(k, run) if not k or group.context_changes else None
+            for k in range(len(given))
+        ]
+        found = ranges.history(given[:H], contexts)
+        for k in range(H, len(given)):
+            of_frame = None if force is None else force[run, k - H]
+            now = ranges.judge(
+                k, position[run, k - H], of_frame, given[k, :n], given[k - 1, :n], contexts[k]
+            )
+            found = worse(found, now)
+        judgements.append(found)
+    return judgements

@@ -99,9 +99,8 @@ class Scene:
         if free or bodies and motion != RigidMotion.PRESCRIBED:
             raise ValueError(
                 f'several bodies {[b["name"] for b in bodies]}, of which {free or "all"} move by '
-                'themselves: the corrections that keep a predicted body rigid, or give a driven '
-                'one its height, know one body. State the recorded motion as prescribed, or write '
-                'runs in which that body is the only one'
+                'themselves: only one body can be predicted. State the recorded motion as '
+                'prescribed, or write runs in which that body is the only one'
             )
         n_context = len(metadata.get('context_mean', ()))
         names = stated.get('context_names') or [f'context_{i}' for i in range(n_context)]
@@ -124,8 +123,8 @@ class Scene:
         if self.bodies:
             raise ValueError(
                 f'the scene has the bodies {[name for name, _ in self.bodies]}; {what} knows one. '
-                'Networks on modes (pcg, mlp) learn on them, roll out recorded runs, step '
-                'by particles (`lts.load(...).stepper()`) and are exported as SavedModel or LiteRT'
+                'Networks on modes (pcg, mlp) learn on them, roll out recorded runs, and are '
+                'exported as SavedModel or LiteRT'
             )
 
     def to_json(self) -> dict:

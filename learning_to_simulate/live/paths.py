@@ -81,8 +81,8 @@ class SoilRollout(Judged):
         scene, n_rigid = self.scene, self.body.shape[1]
         given = scene.rigid_motion == RigidMotion.PRESCRIBED
         kind = dataset.KINEMATIC_PARTICLE_ID if given else dataset.RIGID_PARTICLE_ID
-        modes = [self.history[:, self.history.shape[1] - scene.n_modes :], self.modes]
-        nodes = np.concatenate([self.body, np.concatenate(modes)], axis=1)
+        given_modes = self.history[:, self.history.shape[1] - scene.n_modes :]
+        nodes = np.concatenate([self.body, np.concatenate([given_modes, self.modes])], axis=1)
         true, true_force = None, None
         if self.truth is not None:
             true_modes, true_body, true_force = self.truth
@@ -138,8 +138,9 @@ def roll_out(stepper, path, velocity=None, case=None, context=None) -> SoilRollo
         for pose, now in zip(values[1:], contexts[1:], strict=True)
     ]
     history, n = start.history(), len(start.kept)
-    path = np.concatenate([start.past(), values[1:]]) if known else None
-    nodes = np.concatenate([history[:, :n], [frame.rigid_pose for frame in frames]])
+    body = np.concatenate([history[:, :n], [frame.rigid_pose for frame in frames]])
+    if known:  # else all of its particles are nodes
+        body = _whole_body(start, np.concatenate([start.past(), values[1:]]), body, scene)
     force = None
     if frames[0].force is not None:
         force = np.array([frame.force for frame in frames], np.float32)
@@ -149,7 +150,7 @@ def roll_out(stepper, path, velocity=None, case=None, context=None) -> SoilRollo
         force=force,
         judgement=frames[-1].judgement,
         frame_status=tuple(frame.now.status for frame in frames),
-        body=_whole_body(start, path, nodes, scene),
+        body=body,
         scene=scene,
         decoder=frames[0].decoder,
     )
@@ -165,20 +166,20 @@ def of_recorded_run(group, rollout, scene, decoder, name: str) -> SoilRollout:
     n_body = true.shape[1] - scene.n_modes - group.n_left_modes
     modes = slice(n_body, n_body + scene.n_modes)
     soil_truth, sampled = soil_of_run(group, rollout, scene)
-    bad = np.arange(H, len(true)) >= (judgement.frame if judgement.frame >= 0 else len(true))
+    true_force = None if group.force is None else total_force(group.force[0])
+    statuses = (
+        judgement.status if 0 <= judgement.frame <= k else RolloutStatus.OK
+        for k in range(H, len(true))
+    )  # fmt: skip
     return SoilRollout(
         history=history,
         modes=rollout.position[0, :, group.n_rigid :],
         force=None if rollout.force is None else total_force(rollout.force[0]),
         judgement=judgement,
-        frame_status=tuple(judgement.status if x else RolloutStatus.OK for x in bad),
+        frame_status=tuple(statuses),
         body=predicted[:, :n_body],
         scene=scene,
-        truth=(
-            true[:, modes],
-            true[:, :n_body],
-            None if group.force is None else total_force(group.force[0]),
-        ),
+        truth=(true[:, modes], true[:, :n_body], true_force),
         name=name,
         soil_truth=soil_truth,
         sampled=sampled,
@@ -194,10 +195,8 @@ def velocity_between(first, second, seconds: float) -> np.ndarray:
 
 
 def _whole_body(start, path, nodes, scene) -> np.ndarray:
-    """All particles [T, R', 3], m, of the body of a start in the frames of its poses [T, 7] (None
-    where it is predicted), of which the model placed `nodes` [T, R, 3]."""
-    if path is None:
-        return nodes  # all of its particles are
+    """All particles [T, R', 3], m, of the body of a start in the frames of its poses [T, 7], of
+    which the model placed `nodes` [T, R, 3]."""
     placed = np.stack([poses.placed(start.body, pose) for pose in path])
     if scene.rigid_motion == RigidMotion.DRIVEN:  # the height is the model's
         up = scene.up_axis

@@ -57,12 +57,10 @@ def read_pose(pose, up_axis: int, lateral: float) -> np.ndarray:
     if len(values) == 7:
         return np.concatenate([values[:3], _unit(values[3:])])
     drive = 0 if up_axis else 1
-    across = 3 - up_axis - drive
-    position, turn = np.zeros(3), np.zeros(4)
-    position[[drive, up_axis, across]] = values[0], values[1], lateral
-    # Axis x up = the axis across, but for its sign: (x, y, z) is right-handed.
-    sign = 1.0 if (up_axis, across) in ((1, 2), (2, 0)) else -1.0
-    turn[0], turn[1 + across] = np.cos(values[2] / 2), sign * np.sin(values[2] / 2)
+    position = np.empty(3)
+    position[[drive, up_axis, 3 - up_axis - drive]] = values[0], values[1], lateral
+    about = np.cross(np.eye(3)[drive], np.eye(3)[up_axis])
+    turn = np.append(np.cos(values[2] / 2), np.sin(values[2] / 2) * about + 0.0)  # without -0
     return np.concatenate([position, turn])
 
 

@@ -59,8 +59,10 @@ def run(values) -> None:
         from learning_to_simulate import render_rollout
 
         render_rollout.target_and_format(values.picture)  # before the work
-    for target in filter(None, (values.output_path, values.picture)):
-        command.writable_folder(os.path.dirname(os.path.abspath(target)))
+    targets = filter(None, (values.output_path, values.picture))
+    folders = [os.path.dirname(os.path.abspath(target)) for target in targets]
+    for folder in folders:
+        command.writable_folder(folder)
     command.import_tensorflow()
     from learning_to_simulate import api
 
@@ -71,8 +73,8 @@ def run(values) -> None:
         raise ValueError(f'{values.model}: --terrain and --tool are for soil fields')
     else:
         rollout = model.rollout(path, case=values.case)
-    for target in filter(None, (values.output_path, values.picture)):
-        os.makedirs(os.path.dirname(os.path.abspath(target)), exist_ok=True)
+    for folder in folders:
+        os.makedirs(folder, exist_ok=True)
     rollout.save(values.output_path)
     dt = rollout.time[1] - rollout.time[0] if len(rollout) > 1 else 0.0
     print(f'wrote {values.output_path}: {len(rollout)} frames of {dt:.4g} s')

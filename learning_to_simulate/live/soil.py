@@ -5,21 +5,6 @@ import numpy as np
 from pca_tools.subspace import Subspace
 
 
-def surface(points, extent, up_axis: int, nx: int, nz: int) -> np.ndarray:
-    """Heights of particles [N, 3] (m) on a grid: float32 [nx, nz], m, of the highest particle of
-    each cell; NaN where a cell has none. `extent` [2, 2], m, are lowest and highest of the two
-    level axes; particles beyond it count in the cells of the rim. ValueError for no cells."""
-    if nx < 1 or nz < 1:
-        raise ValueError(f'a height map of {nx} x {nz} cells has none')
-    low, high = np.transpose(extent)
-    plan = np.delete(points, up_axis, axis=1)
-    cell = (plan - low) / (high - low) * (nx, nz)
-    cell = np.clip(np.nan_to_num(cell).astype(int), 0, (nx - 1, nz - 1))
-    heights = np.full(nx * nz, -np.inf, np.float32)
-    np.maximum.at(heights, cell[:, 0] * nz + cell[:, 1], points[:, up_axis])
-    return np.where(np.isinf(heights), np.float32(np.nan), heights).reshape(nx, nz)
-
-
 class Particles:
     """Soil whose nodes [..., N, D] are particles themselves; `extent` [2, 2], m, is what a height
     map spans, lowest and highest of each level axis of the bed at rest [N, D]."""
@@ -35,8 +20,17 @@ class Particles:
 
     def height_map(self, modes, nx: int, nz: int) -> np.ndarray:
         """float32 [nx, nz] heights of the surface over the bed at rest, along the drive and across
-        it, m: see `surface`."""
-        return surface(self.particles(modes), self.extent, self.up_axis, nx, nz)
+        it, m: of the highest particle of each cell, NaN where a cell has none. Particles beyond the
+        extent count in the cells of the rim. ValueError for no cells."""
+        if nx < 1 or nz < 1:
+            raise ValueError(f'a height map of {nx} x {nz} cells has none')
+        points, (low, high) = self.particles(modes), self.extent.T
+        plan = np.delete(points, self.up_axis, axis=1)
+        cell = (plan - low) / (high - low) * (nx, nz)
+        cell = np.clip(np.nan_to_num(cell).astype(int), 0, (nx - 1, nz - 1))
+        heights = np.full(nx * nz, -np.inf, np.float32)
+        np.maximum.at(heights, cell[:, 0] * nz + cell[:, 1], points[:, self.up_axis])
+        return np.where(np.isinf(heights), np.float32(np.nan), heights).reshape(nx, nz)
 
 
 class Decoder(Particles):

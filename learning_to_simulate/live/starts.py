@@ -29,7 +29,7 @@ START_FILE, SUBSPACE_FILE = checkpoints.START_FILE, checkpoints.SUBSPACE_FILE
 SAME_START_M = 1e-5
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class Starts:
     """K ways to begin; those of a model folder cannot be written to.
 
@@ -54,9 +54,6 @@ class Starts:
     def __len__(self) -> int:
         return len(self.cases)
 
-    def __repr__(self) -> str:
-        return f'<{len(self)} starts: pose, body, modes, context and case of each>'
-
     def index(self, case: int | None) -> int:
         """The start of a case of the dataset; for None, the first on a bed that no run before has
         disturbed. ValueError for an unknown case."""
@@ -73,14 +70,12 @@ def collect(data_path: str, nodes: dict) -> Starts:
     """The different starts of a dataset's records; raises as `reading_utils.read_groups`. `nodes`
     are of `TrainConfig`, but for the modes: starts hold all of them."""
     metadata = dataset.read_metadata(data_path)
-    return of_groups(
-        data_path,
-        {
-            split: reading_utils.read_groups(data_path, split, metadata, **nodes | {'modes': 0})
-            for split in SPLITS
-            if os.path.exists(dataset.split_path(data_path, split))
-        },
-    )
+    by_split = {
+        split: reading_utils.read_groups(data_path, split, metadata, **nodes | {'modes': 0})
+        for split in SPLITS
+        if os.path.exists(dataset.split_path(data_path, split))
+    }
+    return of_groups(data_path, by_split)
 
 
 def of_groups(data_path: str, by_split: dict[str, list]) -> Starts:
@@ -99,15 +94,8 @@ def of_groups(data_path: str, by_split: dict[str, list]) -> Starts:
                 pose = stated[record]
                 _add(found, case, group, run, None if pose is None else pose[0].astype(float))
     cases, bodies, kept, first, modes, contexts = zip(*found)
-    return Starts(
-        cases,
-        bodies,
-        kept,
-        np.stack(first),
-        np.stack(modes),
-        None if contexts[0] is None else np.stack(contexts),
-        force_limit,
-    )
+    context = None if contexts[0] is None else np.stack(contexts)
+    return Starts(cases, bodies, kept, np.stack(first), np.stack(modes), context, force_limit)
 
 
 def largest_force(groups) -> float | None:
@@ -191,8 +179,7 @@ def read(model_path: str) -> tuple[Starts, Subspace | None]:
     starts, space = (_checked(model_path, name) for name in (START_FILE, SUBSPACE_FILE))
     if starts is None:
         raise FileNotFoundError(
-            f'{model_path}: holds no {START_FILE}: poses and beds to start from come with a '
-            f'training; train the model again'
+            f'{model_path}: holds no {START_FILE}, which comes with a training; train it again'
         )
     return _parse(starts), None if space is None else Subspace.load(space)
 
@@ -234,10 +221,8 @@ def _parse(path):
         )
         lengths = {len(x) for x in (starts.body, starts.kept, starts.pose, starts.modes)}
         finite = all(np.isfinite(x).all() for x in (arrays['body'], starts.pose, starts.modes))
-        indices = all(
-            not len(kept) or kept.min() >= 0 and kept.max() < len(body)
-            for kept, body in zip(starts.kept, starts.body)
-        )
+        pairs = zip(starts.kept, starts.body)
+        indices = all(np.all((kept >= 0) & (kept < len(body))) for kept, body in pairs)
         if lengths != {len(starts)} or starts.pose.shape[1:] != (7,) or not (finite and indices):
             raise ValueError('shapes or values do not fit')
     except (KeyError, TypeError, ValueError) as error:

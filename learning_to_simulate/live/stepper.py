@@ -7,9 +7,9 @@ per call.
     points = frame.particles()        # only where they are asked for
 
 A step computes the frames: `TfStep`, `full_space.simulator.ParticleStep`, or by C
-(`native.engines`). Input that cannot be used is
-refused before anything changes; input unlike the training runs is used and flagged, in that frame
-and in all that follow. After the first call nothing is compiled any more.
+(`native.engines`). Input that cannot be used is refused before anything changes; input unlike the
+training runs is used and flagged, in that frame and in all that follow. After the first call
+nothing is compiled any more.
 """
 
 import contextlib
@@ -288,11 +288,7 @@ class Stepper:
         step, ranges = self._of_size(n)
         step.reset(history, start.context)
         if start.velocity is None:  # recorded frames: all of them are judged
-            judgement = OK
-            for k, frame in enumerate(history):
-                before = history[k - 1, :n] if k else None
-                now = ranges.start(frame, None if k else start.context, before, k)
-                judgement = worse(judgement, now)
+            judgement = ranges.history(history, [start.context] + [None] * (H - 1))
         else:  # the frames before the newest one are made up
             before = history[-2, :n] if start.velocity.any() else None
             judgement = ranges.start(history[-1], start.context, before)
@@ -323,15 +319,14 @@ class Stepper:
         with _held(self._lock):
             frame, body = self._proposed(pose, context, dt)
             run, alone = self._begun(), frame.now
-            before = run.frame._replace(judgement=frame.judgement)
-            if alone.status != RolloutStatus.OK and self._outside == RAISE:
+            is_good = alone.status == RolloutStatus.OK
+            if not is_good and self._outside == RAISE:
                 raise ValueError(f'{alone.status}: {alone.reason}; the state stays as it was')
-            if alone.status != RolloutStatus.OK and self._outside == HOLD:
+            holds = not is_good and self._outside == HOLD
+            if holds or alone.status == RolloutStatus.NON_FINITE:
+                before = run.frame._replace(judgement=frame.judgement)
                 self._run = run._replace(frame=before)
-                return before._replace(now=alone)
-            if alone.status == RolloutStatus.NON_FINITE:
-                self._run = run._replace(frame=before)
-                return frame
+                return before._replace(now=alone) if holds else frame
             self.computing.accept()
             self._run = _Run(run.start, frame, run.count + 1, body)
             return frame
@@ -343,19 +338,19 @@ class Stepper:
 
     def _proposed(self, pose, context, dt):
         """The coming frame, and the body [R, D] in it where it is given."""
-        run, scene = self._begun(), self.scene
+        run, known = self._begun(), self.scene.rigid_motion.is_known
         start = run.start
         if context is not None:
-            context = read_context(scene, context)
+            context = read_context(self.scene, context)
         if pose is not None:
             pose = start.read(pose)
-        if scene.rigid_motion.is_known != (pose is not None):
-            takes = 'takes' if pose is None else 'does not take'
-            raise ValueError(f'the body is {scene.rigid_motion}: step() {takes} a pose')
-        if dt is not None and abs(dt - scene.dt) > 1e-6 * scene.dt:
+        if known != (pose is not None):
+            takes = 'takes' if known else 'does not take'
+            raise ValueError(f'the body is {self.scene.rigid_motion}: step() {takes} a pose')
+        if dt is not None and abs(dt - self.dt) > 1e-6 * self.dt:
             raise ValueError(
-                f'dt is {dt} s: a frame of the model is {scene.dt:.6g} s and cannot be '
-                f'divided; hold the last frame in between'
+                f'dt is {dt} s: a frame of the model is {self.dt:.6g} s and cannot be divided; '
+                f'hold the last frame in between'
             )
         body = None if pose is None else start.nodes(pose)
         moved = None if body is None else body - run.body

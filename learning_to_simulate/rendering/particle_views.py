@@ -111,22 +111,16 @@ def setup(frames: RolloutFrames, plane: str | None, drawn: np.ndarray) -> ViewSe
         strongest = float(np.linalg.norm(force, axis=-1).max()) or 1.0
     length = _ARROW_SHARE * float(np.min(limits[:, 1] - limits[:, 0]))
     return ViewSetup(
-        plane=axes,
-        particles=particles,
-        limits=limits,
-        vmax=vmax,
-        newtons_per_metre=strongest / length,
-        key_force=_round_up(strongest / 3),
-        spacing=spacing,
+        axes, particles, limits, vmax, strongest / length, _round_up(strongest / 3), spacing
     )
 
 
 def _chosen_particles(frames: RolloutFrames, axes: tuple[int, int]) -> np.ndarray:
     """Side view: those nearest to the middle plane of the body; other views: all."""
     start = frames.start
-    count = max(_SIDE_VIEW_SHARE * len(start), min(len(start), _SIDE_VIEW_LEAST))
     if axes != PLANES[frames.side_view]:
         return np.arange(len(start))
+    count = max(_SIDE_VIEW_SHARE * len(start), min(len(start), _SIDE_VIEW_LEAST))
     body = frames.rigid[frames.reference][0]
     depth = 3 - sum(axes)
     middle = (body if len(body) else start)[:, depth].mean()
@@ -147,14 +141,9 @@ class ParticleView:
     """
 
     def __init__(
-        self,
-        axes: Axes,
-        frames: RolloutFrames,
-        which: str,
-        view: ViewSetup,
-        color_by: str,
+        self, axes: Axes, frames: RolloutFrames, which: str, view: ViewSetup, color_by: str,
         show_key: bool,
-    ):
+    ):  # fmt: skip
         self._frames, self._which, self._view = frames, which, view
         self._color_by = color_by if which == PREDICTION or color_by == 'speed' else None
         axes.set(xlim=view.limits[0], ylim=view.limits[1], aspect='equal')
@@ -218,11 +207,8 @@ class ParticleView:
         self.soil.set_offsets(position[order][:, plane])
         if self._color_by is None:
             return
-        vectors = (
-            frames.soil_velocity(self._which, i)
-            if self._color_by == 'speed'
-            else frames.soil_error(i)
-        )
+        is_speed = self._color_by == 'speed'
+        vectors = frames.soil_velocity(self._which, i) if is_speed else frames.soil_error(i)
         self.soil.set_array(1e3 * np.linalg.norm(vectors[chosen][order], axis=1))
 
     def _body_shape(self) -> tuple[bool, np.ndarray]:

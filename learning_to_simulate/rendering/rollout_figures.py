@@ -28,26 +28,14 @@ from learning_to_simulate.soil_truth import WITH_CUT_OFF
 
 INK, FAINT = '#1f2933', '#8693a0'
 STYLE = {
-    'font.family': 'DejaVu Sans',
-    'font.size': 9,
-    'axes.edgecolor': '#52606d',
-    'axes.labelcolor': INK,
-    'axes.linewidth': 0.8,
-    'axes.spines.top': False,
-    'axes.spines.right': False,
-    'axes.titlesize': 10,
-    'axes.titlelocation': 'left',
-    'axes.axisbelow': True,
-    'legend.fontsize': 7.5,
-    'legend.frameon': False,
-    'text.color': INK,
-    'xtick.color': '#52606d',
-    'ytick.color': '#52606d',
-    'xtick.labelsize': 8,
-    'ytick.labelsize': 8,
-    'grid.color': '#e4e7eb',
-    'grid.linewidth': 0.7,
-}
+    'font.family': 'DejaVu Sans', 'font.size': 9, 'text.color': INK,
+    'axes.edgecolor': '#52606d', 'axes.labelcolor': INK, 'axes.linewidth': 0.8,
+    'axes.spines.top': False, 'axes.spines.right': False, 'axes.axisbelow': True,
+    'axes.titlesize': 10, 'axes.titlelocation': 'left',
+    'legend.fontsize': 7.5, 'legend.frameon': False,
+    'xtick.color': '#52606d', 'ytick.color': '#52606d', 'xtick.labelsize': 8, 'ytick.labelsize': 8,
+    'grid.color': '#e4e7eb', 'grid.linewidth': 0.7,
+}  # fmt: skip
 COLOR_LABELS = {'speed': 'soil speed (mm/s)', 'error': 'soil error (mm)'}
 # Okabe and Ito (2008), told apart with every kind of colour vision: axes of the force; models.
 AXIS_COLORS = '#0072b2', '#d55e00'
@@ -72,13 +60,9 @@ class AnimatedFigure:
     """
 
     def __init__(
-        self,
-        frames: RolloutFrames,
-        view: ViewSetup,
-        color_by: str,
-        dpi: int,
+        self, frames: RolloutFrames, view: ViewSetup, color_by: str, dpi: int,
         beside: Sequence[RolloutFrames] = (),
-    ):
+    ):  # fmt: skip
         self._frames, self._models = frames, [frames, *beside]
         shown = _shown(self._models)
         with rc_context(STYLE):
@@ -119,12 +103,9 @@ class AnimatedFigure:
 
 
 def strip_figure(
-    frames: RolloutFrames,
-    view: ViewSetup,
-    drawn: Sequence[int],
-    dpi: int,
+    frames: RolloutFrames, view: ViewSetup, drawn: Sequence[int], dpi: int,
     beside: Sequence[RolloutFrames] = (),
-) -> Figure:
+) -> Figure:  # fmt: skip
     """Three moments (columns) of truth, predictions and error (rows) above the curves.
 
     The moments are of the frames `drawn`; predictions `beside` the first, of the same run, have a
@@ -278,13 +259,9 @@ class _Page:
     """
 
     def __init__(
-        self,
-        n_columns: int,
-        n_rows: int,
-        models: Sequence[RolloutFrames],
-        view: ViewSetup,
+        self, n_columns: int, n_rows: int, models: Sequence[RolloutFrames], view: ViewSetup,
         dpi: int,
-    ):
+    ):  # fmt: skip
         frames = models[0]
         self._n_rows, self._view = n_rows, view
         width = (WIDTH - _LEFT - _RIGHT - _GAP * (n_columns - 1)) / n_columns

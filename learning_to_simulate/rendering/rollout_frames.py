@@ -25,7 +25,6 @@ TRUTH, PREDICTION = 'truth', 'prediction'
 TRUE_NAME, STILL, CONSTANT = 'solver', 'persistence', 'constant velocity'
 # What they call the parts of the force.
 FORCE_NAMES = 'against the way', 'up'
-SOIL_PARTICLE_TYPE = dataset.MODE_PARTICLE_ID
 # Views: indices of the horizontal and the vertical axis.
 PLANES = {'xy': (0, 1), 'xz': (0, 2), 'zy': (2, 1), 'yz': (1, 2), 'yx': (1, 0), 'zx': (2, 0)}
 _FILE_NAME = re.compile(r'rollout_(?P<split>[a-z]+)_(?P<record>\d+)\.npz')
@@ -136,11 +135,6 @@ class RolloutFrames:
     def soil_error(self, i: int) -> np.ndarray:
         """[P, 3] prediction minus truth in the i-th shown frame, m."""
         return self.soil[PREDICTION][i] - self.soil[TRUTH][i]
-
-    def rigid_velocity(self, which: str, frame: int) -> np.ndarray:
-        """[R, 3] velocity over the frame interval that ends at `frame`, m/s (first frame: zero)."""
-        before = self.rigid[which][max(frame - 1, 0)]
-        return (self.rigid[which][frame] - before) / self.dt
 
     @functools.cached_property
     def rigid_rms_mm(self) -> np.ndarray:
@@ -253,9 +247,8 @@ def of_rollout(rollout, step_stride: int = 1) -> RolloutFrames:
     computed in every step_stride-th frame."""
     start, scene, truth = len(rollout.history), rollout.scene, rollout.soil_truth
     frames = np.arange(start, len(rollout.body), step_stride)
-    rigid, soil, found, first = {PREDICTION: rollout.body}, {}, {}, None
     true_modes, true_body, true_force = rollout.truth or (None, None, None)
-    force = None
+    rigid, soil, force, first, found = {PREDICTION: rollout.body}, {}, None, None, {}
     if rollout.force is not None:
         given = np.zeros((start, DIM)) if true_force is None else true_force[:start]
         force = {PREDICTION: np.concatenate([given, rollout.force])}
@@ -294,8 +287,7 @@ def of_rollout(rollout, step_stride: int = 1) -> RolloutFrames:
 def refuse_other_run(frames: RolloutFrames, other: RolloutFrames) -> None:
     """Raises ValueError unless another rollout is one of the same run, over the same particles."""
     same = frames.has_truth and other.has_truth and frames.title == other.title
-    pairs = [(frames.rigid, other.rigid), (frames.soil, other.soil)]
-    for given, theirs in pairs:
+    for given, theirs in ((frames.rigid, other.rigid), (frames.soil, other.soil)):
         if same and TRUTH in given:
             # The shorter one may have been cut before a frame that is not finite.
             length = min(len(given[TRUTH]), len(theirs.get(TRUTH, ())))
@@ -319,24 +311,20 @@ def _metadata(path: str, arrays: dict[str, np.ndarray]) -> dict[str, Any]:
         raise ValueError(f'{path}: its {stated} is not JSON: {error}') from error
     if stated == 'metadata':
         if problems := metadata_problems(found):
-            raise ValueError(f'{path}: its metadata: ' + '; '.join(problems))
+            raise ValueError(f'{path}: its metadata: {"; ".join(problems)}')
         return found
     try:  # of a path that nobody recorded
         scene = Scene.from_json(found)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise ValueError(f'{path}: its scene is none ({error})') from error
-    return {
-        'dt': scene.dt,
-        'mode_number': scene.n_modes,
-        'n_soil': scene.n_soil,
-        'scene': scene.to_json(),
-    }
+    found = {'dt': scene.dt, 'mode_number': scene.n_modes, 'n_soil': scene.n_soil}
+    return found | {'scene': scene.to_json()}
 
 
 def _split_nodes(path, arrays, metadata) -> tuple[int, bool]:
     """R, and whether the soil's nodes are modes; else they are particles, of a full-space model."""
     count, n_modes = len(arrays['particle_types']), metadata['mode_number']
-    n_soil = int((arrays['particle_types'] == SOIL_PARTICLE_TYPE).sum())
+    n_soil = int((arrays['particle_types'] == dataset.MODE_PARTICLE_ID).sum())
     if n_soil > n_modes > 0:
         return count - n_soil, False
     if not 0 < n_modes <= count:

@@ -108,8 +108,9 @@ def figure(
 
 
 def _about_path(arrays):
-    """The arrays with maps that end `_ASIDE` from the path."""
-    places = np.asarray(arrays['pose'], float)[:, [0, 2]]
+    """The arrays, poses in float64, with maps that end `_ASIDE` from the path."""
+    arrays = {**arrays, 'pose': np.asarray(arrays['pose'], float)}
+    places = arrays['pose'][:, [0, 2]]
     places = places[np.isfinite(places).all(axis=1)]
     shape = arrays['heights_before'].shape
     if not len(places):
@@ -167,21 +168,21 @@ def _way(pose):
 
 def _start(arrays):
     """Level unit vector along the way of the first pose that is finite."""
-    pose = np.asarray(arrays['pose'], float)
+    pose = arrays['pose']
     good = np.flatnonzero(np.isfinite(pose).all(axis=1))
     return _way(pose[good[0]])[0] if len(good) else np.array([-1.0, 0.0, 0.0])
 
 
 def _draw_section(axes, arrays, maps, i):
     """Terrain and tool in the plane of the tool, against the distance along its way."""
-    pose = np.asarray(arrays['pose'], float)[int(arrays['height_frames'][i])]
+    path = arrays['pose']
+    pose = path[int(arrays['height_frames'][i])]
     if not np.isfinite(pose).all():
         axes.text(0.5, 0.5, 'no prediction', ha='center', transform=axes.transAxes)
         return
     along, _, turn = _way(pose)
-    start = np.asarray(arrays['pose'], float)[0, :3] @ along
-    corner, cell = arrays['corner'], arrays['cell']
-    way = np.asarray(arrays['pose'], float)[:, :3] @ along
+    corner, cell, way = arrays['corner'], arrays['cell'], path[:, :3] @ along
+    start = path[0, :3] @ along
     ends = np.nanmin(way) - _BESIDE, np.nanmax(way) + _BESIDE
     u = np.linspace(*ends, 801) - pose[:3] @ along
     places = pose[:3] + u[:, None] * along
@@ -221,7 +222,7 @@ def _draw_map(axes, arrays, change, frame, order, largest):
         cmap=_CHANGE, vmin=-largest, vmax=largest, interpolation='nearest',
     )  # fmt: skip
     axes.locator_params(nbins=5)
-    pose = np.asarray(arrays['pose'], float)[frame]
+    pose = arrays['pose'][frame]
     if np.isfinite(pose).all():
         _, across, _ = _way(pose)
         half = json.loads(str(arrays['tool']))['width'] / 2 * across

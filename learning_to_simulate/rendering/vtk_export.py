@@ -8,13 +8,8 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from learning_to_simulate.rendering.rollout_frames import (
-    PREDICTION,
-    SOIL_PARTICLE_TYPE,
-    TRUTH,
-    RolloutFrames,
-)
-from pca_tools import files
+from learning_to_simulate.rendering.rollout_frames import PREDICTION, TRUTH, RolloutFrames
+from pca_tools import dataset, files
 from pca_tools.formats.vtp_files import write_collection, write_points
 
 
@@ -49,7 +44,7 @@ def _cloud(frames: RolloutFrames, which: str, i: int):
     points = [rigid[frame]]
     vectors = {
         'displacement': [rigid[frame] - rigid[0]],
-        'velocity': [frames.rigid_velocity(which, frame)],
+        'velocity': [(rigid[frame] - rigid[max(frame - 1, 0)]) / frames.dt],
     }
     if with_error := which == PREDICTION and frames.has_truth:
         vectors['error'] = [rigid[frame] - frames.rigid[TRUTH][frame]]
@@ -61,7 +56,7 @@ def _cloud(frames: RolloutFrames, which: str, i: int):
         vectors['velocity'].append(frames.soil_velocity(which, i))
         if with_error:
             vectors['error'].append(frames.soil_error(i))
-        types += [SOIL_PARTICLE_TYPE] * len(soil)
+        types += [dataset.MODE_PARTICLE_ID] * len(soil)
     point_data = {name: np.concatenate(parts).astype(np.float32) for name, parts in vectors.items()}
     point_data['particle_type'] = np.array(types, np.int32)
     field_data = {'time': frames.time[frame : frame + 1]}

@@ -3,6 +3,7 @@
 import pathlib
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -45,8 +46,7 @@ def test_help_waits_for_no_heavy_package_and_ends_with_0(name):
         done = lts('--help', absent=HEAVY, module=name)
     else:
         done = lts(name, '--help', absent=HEAVY)
-    assert done.returncode == 0, done.stderr
-    assert '--' in done.stdout
+    assert done.returncode == 0 and '--' in done.stdout, done.stderr
     if name == 'train':
         for meaning in ('velocity_inputs (int)', 'plain MLP', 'Training steps in all'):
             assert meaning in ' '.join(done.stdout.split()), done.stdout
@@ -55,37 +55,34 @@ def test_help_waits_for_no_heavy_package_and_ends_with_0(name):
 def test_errors_are_one_line_before_the_work(tmp_path):
     np.savetxt(tmp_path / 'path.csv', np.zeros((3, 7)), delimiter=',')
     (tmp_path / 'file').write_text('time_s,x_m,y_m,angle_deg\n')
-    named = f'--poses={tmp_path / "file"}'
     model, path = f'--model_path={tmp_path / "m"}', f'--poses={tmp_path / "path.csv"}'
-    rollout = 'rollout', '--model=excavation'
-    cases = [
+    rollout, out = ('rollout', '--model=excavation'), f'--output_path={tmp_path}/dig.npz'
+    for arguments, message in (
         (('train', 'datasets/excavation', '--data_path=x', model), 'unexpected arguments'),
         (('train', '--data_path=datasets/excavation', model), 'tensorflow, which is not installed'),
-        ((*rollout, '--poses=none.csv', '--output_path=x.npz'), 'error: none.csv: no such file'),
-        ((*rollout, named, '--output_path=x.npz'), 'numbers without a header, a line a frame'),
+        ((*rollout, '--poses=none.csv', out), 'error: none.csv: no such file'),
+        ((*rollout, f'--poses={tmp_path / "file"}', out), 'numbers without a header, a line a'),
         ((*rollout, path, f'--output_path={tmp_path}/file/dig.npz'), 'cannot be written to'),
-        ((*rollout, path, f'--output_path={tmp_path}/dig.npz', '--picture=dig.jpg'),
-         'error: dig.jpg: must end in .png, .gif or .mp4'),
-    ]  # fmt: skip
-    for arguments, message in cases:
+        ((*rollout, path, out, '--picture=dig.jpg'), 'dig.jpg: must end in .png, .gif or .mp4'),
+    ):
         done = lts(*arguments)
         assert done.returncode == 1 and message in done.stderr
         assert done.stderr.startswith('error: ') and done.stderr.count('\n') == 1
     assert {path.name for path in tmp_path.iterdir()} == {'path.csv', 'file'}
 
 
-def test_rollout_of_a_file_of_poses(tmp_path):
+def test_rollout_of_a_file_of_poses(tmp_path, capsys):
     starts, _ = starts_lib.read('models/excavation/pcg')
     path = np.tile(starts.pose[0], (9, 1))
     path[:, 0] -= np.arange(9) * 5e-4
-    np.savetxt(tmp_path / 'path.csv', path, delimiter=',', header='x,y,z,qw,qx,qy,qz')
-    np.testing.assert_allclose(roll_out_path.read_poses(str(tmp_path / 'path.csv')), path)
-    out = tmp_path / 'new' / 'dig.npz'
-    done = lts('rollout', '--model=excavation/pcg', f'--poses={tmp_path / "path.csv"}',
-               f'--output_path={out}', absent=())  # fmt: skip
-    assert (done.returncode, done.stderr) == (0, '')
-    assert '8 frames' in done.stdout and 'status ok' in done.stdout
+    named, out = str(tmp_path / 'path.csv'), tmp_path / 'new' / 'dig.npz'
+    np.savetxt(named, path, delimiter=',', header='x,y,z,qw,qx,qy,qz')
+    np.testing.assert_allclose(roll_out_path.read_poses(named), path)
+    given = dict.fromkeys(('picture', 'terrain', 'tool', 'case'))
+    given |= {'model': 'excavation/pcg', 'poses': named, 'output_path': str(out)}
+    roll_out_path.run(SimpleNamespace(**given))
+    said = capsys.readouterr().out
+    assert '8 frames' in said and 'status ok' in said
     assert files.read_npz(str(out))['predicted_rollout'].shape == (8, 28, 3)
-    (tmp_path / 'words.csv').write_text('left,right\n')
-    with pytest.raises(ValueError, match='not a table of numbers'):
-        roll_out_path.read_poses(str(tmp_path / 'words.csv'))
+    with pytest.raises(ValueError, match='--terrain and --tool are for soil fields'):
+        roll_out_path.run(SimpleNamespace(**given | {'terrain': 'ground.npz'}))

@@ -96,7 +96,7 @@ def test_a_tool_rests_on_its_weight_and_gains_no_energy(blade, dt, mass):
     assert soil.judgement.status == 'ok'
 
 
-@pytest.mark.parametrize('kind, mass', [('blade', 20.0), ('blade', 90.0), ('wheel', 5.0)])
+@pytest.mark.parametrize('kind, mass', [('blade', 90.0), ('wheel', 5.0)])
 def test_it_comes_to_rest_where_a_loaded_tool_does(blade, kind, mass):
     """`LoadedTool` solves its motion in another way: a bracket for each coordinate."""
     model = blade if kind == 'blade' else lts.load('wheel/soil_field')
@@ -158,52 +158,46 @@ def test_explicit_coupling_of_a_light_tool_rings_where_implicit_rests(blade):
     assert spans[0] < 1e-4 < spans[1]
 
 
-def test_tools_share_a_terrain(blade):
+def pair(blade, bodies, names):
+    """Two tools on one terrain, for a second."""
+    spec = mujoco.MjSpec.from_string(f'<mujoco><worldbody>{bodies}</worldbody></mujoco>')
     terrain = flat()
+    add_height_field(spec, terrain)
+    m = spec.compile()
+    m.opt.timestep, d = 0.01, mujoco.MjData(m)
+    tools = {name: blade.stepper(terrain, lts.Blade(width=0.4)) for name in names}
+    soil = MujocoSoil(m, d, tools)
+    soil.start()
+    for _ in range(100):
+        soil.step()
+    return m, d, soil
+
+
+def test_tools_share_a_terrain(blade):
     bodies = ''.join(
         f'<body name="b{i}" pos="3 {-1.3 - i} 0.27">{UP}'
         f'<inertial pos="0 0 0.1" mass="{10 + 40 * i}" diaginertia="1 1 1"/></body>'
         for i in (0, 1)
     )
-    spec = mujoco.MjSpec.from_string(f'<mujoco><worldbody>{bodies}</worldbody></mujoco>')
-    add_height_field(spec, terrain)
-    m = spec.compile()
-    m.opt.timestep = 0.01
-    d = mujoco.MjData(m)
-    steppers = {f'b{i}': blade.stepper(terrain, lts.Blade(width=0.4)) for i in (0, 1)}
-    soil = MujocoSoil(m, d, steppers)
-    soil.start()
-    for _ in range(100):
-        frames = soil.step()
-    weights = [frames[f'b{i}'].force[1] / 9.81 for i in (0, 1)]
+    m, d, soil = pair(blade, bodies, ('b0', 'b1'))
+    weights = [frame.force[1] / 9.81 for frame in soil.frames.values()]
     np.testing.assert_allclose(weights, [10.0, 50.0], rtol=0.005)
     soil.draw()
     # The height field shows the terrain: heights over each place, by MuJoCo's own ray.
     mujoco.mj_forward(m, d)
-    shown = []
-    for y in (-1.3, -2.3, -3.5):
-        hit = np.zeros(1, np.int32)
-        far = mujoco.mj_ray(
-            m, d, np.array([3.13, y, 2.0]), np.array([0.0, 0, -1]), None, 1, -1, hit
-        )
-        shown.append(2.0 - far)
-    known = terrain.at(np.full(3, 3.13), -np.array([-1.3, -2.3, -3.5]))
-    np.testing.assert_allclose(shown, known, atol=1e-3)
-    assert terrain.heights.min() < 0.249
+    down, hit = np.array([0.0, 0.0, -1.0]), np.zeros(1, np.int32)
+    y = np.array([-1.3, -2.3, -3.5])
+    far = [mujoco.mj_ray(m, d, np.array([3.13, at, 2.0]), down, None, 1, -1, hit) for at in y]
+    known = soil.terrain.at(np.full(3, 3.13), -y)
+    np.testing.assert_allclose(2.0 - np.array(far), known, atol=1e-3)
+    assert soil.terrain.heights.min() < 0.249
 
 
 def test_loads_of_tools_on_one_body_add_up(blade):
     sites = ''.join(f'<site name="s{i}" pos="0 {-i} 0"/>' for i in (0, 1))
-    m = mujoco.MjModel.from_xml_string(
-        f'<mujoco><worldbody><body pos="3 -1.3 0.27">{UP}{sites}'
-        f'<inertial pos="0 -0.5 0.1" mass="60" diaginertia="1 1 1"/></body></worldbody></mujoco>'
-    )
-    m.opt.timestep, d, terrain = 0.01, mujoco.MjData(m), flat()
-    tools = {f's{i}': blade.stepper(terrain, lts.Blade(width=0.4)) for i in (0, 1)}
-    soil = MujocoSoil(m, d, tools)
-    soil.start()
-    for _ in range(100):
-        soil.step()
+    body = f'<body pos="3 -1.3 0.27">{UP}{sites}'
+    body += '<inertial pos="0 -0.5 0.1" mass="60" diaginertia="1 1 1"/></body>'
+    m, d, soil = pair(blade, body, ('s0', 's1'))
     np.testing.assert_allclose(d.xfrc_applied[1], soil.wrenches.sum(axis=0), atol=1e-9)
     assert d.xfrc_applied[1, 2] == pytest.approx(60 * 9.81, rel=0.005)
     assert (soil.wrenches[:, 2] > 200).all()
@@ -234,25 +228,25 @@ def test_coarse_soil_is_flagged_by_the_name_of_the_tool(blade):
 def test_bad_input_is_refused(blade):
     m, d, soil = scene(blade)
     stepper = soil._steppers[0]
-    with pytest.raises(ValueError, match=r"no site or body 'bucket'; there are edge, world, carr"):
-        MujocoSoil(m, d, {'bucket': stepper})
-    with pytest.raises(ValueError, match='edge: a stepper was expected, not a dict: .* no mesh'):
-        MujocoSoil(m, d, {'edge': {'vertices': []}})
-    with pytest.raises(ValueError, match='call start'):
-        soil.step()
-    with pytest.raises(ValueError, match='tools is empty'):
-        MujocoSoil(m, d, {})
     other = blade.stepper(lts.Terrain.flat((1.0, 1.0)))
-    with pytest.raises(ValueError, match='several terrains'):
-        MujocoSoil(m, d, {'edge': stepper, 'carrier': other})
-    with pytest.raises(ValueError, match='no height field'):
-        soil.draw()
-    m.opt.timestep = 0.02
-    with pytest.raises(ValueError, match='time step is 0.02 s'):
-        MujocoSoil(m, d, {'edge': stepper})
-    m.opt.timestep, m.opt.gravity[2] = 0.002, -1.62
-    with pytest.raises(ValueError, match=r'lts.Soil\(gravity'):
-        MujocoSoil(m, d, {'edge': stepper})
+    for tools, message in (
+        ({'bucket': stepper}, r"no site or body 'bucket'; there are edge, world, carr"),
+        ({'edge': {'vertices': []}}, 'edge: a stepper was expected, not a dict: .* no mesh'),
+        ({}, 'tools is empty'),
+        ({'edge': stepper, 'carrier': other}, 'several terrains'),
+    ):
+        with pytest.raises(ValueError, match=message):
+            MujocoSoil(m, d, tools)
+    for call, message in ((soil.step, 'call start'), (soil.draw, 'no height field')):
+        with pytest.raises(ValueError, match=message):
+            call()
+    for step, gravity, message in (
+        (0.02, -9.81, 'time step is 0.02 s'),
+        (0.002, -1.62, r'lts.Soil\(gravity'),
+    ):
+        m.opt.timestep, m.opt.gravity[2] = step, gravity
+        with pytest.raises(ValueError, match=message):
+            MujocoSoil(m, d, {'edge': stepper})
 
 
 def test_the_way_goes_on_and_the_turn_too():

@@ -84,70 +84,55 @@ def check_places(drawn, frames, view, i):
     return order
 
 
-@pytest.mark.parametrize('sampled', [False, True])
-def test_particles_and_their_errors(made, tmp_path, change, sampled):
+def test_particles_and_their_errors(made, frames, tmp_path, change):
     """Of the solver's own particles where there is a sample, else of all that are decoded."""
-    data_path, chosen = made[1], slice(None)
-    space = Subspace.load(os.path.join(made[1], 'subspace.npz'))
-    arrays = files.read_npz(made[0])
-    truth, predicted = (
-        np.concatenate([arrays['initial_positions'], arrays[key]])[:, N_RIGID:].astype(float)
-        for key in ('ground_truth_rollout', 'predicted_rollout')
-    )
-    numbers = np.arange(N_GIVEN, N_FRAMES)
-    soil = {TRUTH: space.decode(truth), PREDICTION: space.decode(predicted)}
+    data_path, numbers = shutil.copytree(made[1], str(tmp_path / 'data')), np.arange(8, N_FRAMES, 4)
+    chosen = synthetic.write_particles(data_path)
+    truth = synthetic.soil_of(data_path, 'test', 0)[numbers][:, chosen]
+    space, arrays = Subspace.load(f'{data_path}/subspace.npz'), files.read_npz(made[0])
+    predicted = space.decode(arrays['predicted_rollout'][:, N_RIGID:].astype(float))
+    np.testing.assert_allclose(frames.soil[PREDICTION], predicted, atol=1e-12)
+    square = ((predicted - frames.soil[TRUTH]) ** 2).mean()
     cut = json.loads(str(arrays['metadata']))['projection_mse']['test'][0]
-    if sampled:
-        data_path = shutil.copytree(made[1], str(tmp_path / 'data'))
-        chosen = synthetic.write_particles(data_path)
-        soil[TRUTH] = synthetic.soil_of(data_path, 'test', 0)
-        numbers, cut = np.arange(8, N_FRAMES, 4), 0.0
-    soil = {which: x[numbers][:, chosen] for which, x in soil.items()}
-    frames = rollout_frames.load(made[0], data_path, 'm')
+    assert frames.soil_mm == pytest.approx(1e3 * np.sqrt(square + cut))
+    frames = rollout_frames.load(made[0], data_path)
     np.testing.assert_array_equal(frames.frames, numbers)
-    for which, x in soil.items():
-        np.testing.assert_allclose(frames.soil[which], x, atol=1e-6 if sampled else 1e-12)
-    square = ((soil[PREDICTION] - soil[TRUTH]) ** 2).mean(axis=(1, 2))
-    rms, close = frames.soil_rms_mm, {'rtol': 1e-4 if sampled else 1e-9, 'atol': 1e-9}
-    np.testing.assert_allclose(rms[PREDICTION], 1e3 * np.sqrt(square), **close)
-    np.testing.assert_allclose(frames.soil_mm, 1e3 * np.sqrt(square.mean() + cut), rtol=1e-4)
-    still = space.decode(truth[N_GIVEN - 1])[chosen] - soil[TRUTH]
-    still = 1e3 * np.sqrt((still**2).mean(axis=(1, 2)))
-    np.testing.assert_allclose(rms['persistence'], still, **close)
-    i = len(numbers) // 2
-    apart = (numbers[i] - numbers[i - 1]) * DT
-    velocity = (soil[PREDICTION][i] - soil[PREDICTION][i - 1]) / apart
-    np.testing.assert_allclose(frames.soil_velocity(PREDICTION, i), velocity, atol=1e-9)
-    assert ("the solver's particles" in frames.space) == sampled
+    np.testing.assert_allclose(frames.soil[TRUTH], truth, atol=1e-6)
+    found = predicted[numbers - N_GIVEN][:, chosen]
+    np.testing.assert_allclose(frames.soil[PREDICTION], found, atol=1e-6)
+    still = space.decode(arrays['initial_positions'][-1, N_RIGID:].astype(float))[chosen]
+    for name, places in ((PREDICTION, found), ('persistence', still)):
+        rms = 1e3 * np.sqrt(((places - truth) ** 2).mean(axis=(1, 2)))
+        np.testing.assert_allclose(frames.soil_rms_mm[name], rms, rtol=1e-4)
+    velocity = (found[3] - found[2]) / (4 * DT)
+    np.testing.assert_allclose(frames.soil_velocity(PREDICTION, 3), velocity, atol=1e-9)
+    assert "the solver's particles" in frames.space
     # A method without modes: its own particles, whatever stands for them in modes.
-    own = soil[TRUTH] + 1e-3 if sampled else soil[PREDICTION]
     indices = np.arange(space.n_soil)[chosen]
-    given = {'predicted_particles': own, 'particle_frames': numbers, 'particle_indices': indices}
-    frames = rollout_frames.load(change(**given), data_path)
-    np.testing.assert_allclose(frames.soil[PREDICTION], own, atol=1e-9)
-    if sampled:
-        assert frames.soil_mm == pytest.approx(1.0, rel=1e-2)
+    own = {'predicted_particles': truth + 1e-3, 'particle_frames': numbers}
+    frames = rollout_frames.load(change(**own, particle_indices=indices), data_path)
+    np.testing.assert_allclose(frames.soil[PREDICTION], truth + 1e-3, atol=1e-9)
+    assert frames.soil_mm == pytest.approx(1.0, rel=1e-2)
 
 
 def test_particles_of_a_full_space_model_are_drawn_as_they_are(made, change):
     frames = rollout_frames.load(change({'mode_number': 2}), None)
-    arrays = files.read_npz(made[0])
-    for which, key in ((TRUTH, 'ground_truth_rollout'), (PREDICTION, 'predicted_rollout')):
-        np.testing.assert_array_equal(frames.soil[which], arrays[key][:, N_RIGID:])
+    nodes = files.read_npz(made[0])['predicted_rollout']
+    np.testing.assert_array_equal(frames.soil[PREDICTION], nodes[:, N_RIGID:])
     assert frames.rigid[TRUTH].shape[1] == N_RIGID
 
 
 def test_captions_hold_the_errors_of_every_model(frames):
     truth, predicted = (frames.force[which][N_GIVEN:] for which in (TRUTH, PREDICTION))
-    size = np.linalg.norm(predicted - truth)
     other = dataclasses.replace(frames, label='other', is_driven=True)
     first, second = rollout_figures.caption([frames, other], -1).splitlines()
-    share, newtons = 100 * size / np.linalg.norm(truth), size / np.sqrt(truth.size)
+    off = np.linalg.norm(predicted - truth)
+    share, newtons = 100 * off / np.linalg.norm(truth), off / np.sqrt(truth.size)
     assert f'force error so far {newtons:.3g} N ({share:.0f} %)' in first
     assert f'prediction: soil error {frames.soil_rms_mm[PREDICTION][-1]:.2f} mm' in first
-    off = np.sqrt(((predicted - truth)[:, 0] ** 2).mean())
-    assert second.startswith('other: ') and f'drawbar error so far {off:.3g} N' in second
     assert 'body' not in first  # its motion is given
+    drawbar = np.sqrt(((predicted - truth)[:, 0] ** 2).mean())
+    assert second.startswith('other: ') and f'drawbar error so far {drawbar:.3g} N' in second
     assert f'soil error {frames.soil_mm:.2f} mm over all' in rollout_figures.caption([frames])
 
 
@@ -171,65 +156,61 @@ def test_rollout_that_blew_up_is_cut(made, change):
 
 
 def test_bad_input_is_refused(made, change, tmp_path):
-    def check(path, message, data_path=made[1], error=ValueError):
+    files.write_npz(foreign := str(tmp_path / 'foreign.npz'), positions=np.zeros(3))
+    for path, data_path, error, message in (
+        ('none.npz', made[1], FileNotFoundError, 'no such file'),
+        ('rollout.pkl', made[1], ValueError, 'is a pickle, which is never read'),
+        (made[0], 'none', FileNotFoundError, 'no such dataset'),
+        (foreign, made[1], ValueError, r"lacks \['initial_positions'.*it has \['positions'\]"),
+        (change(**without_body(made)), None, ValueError, 'has modes only'),
+    ):
         with pytest.raises(error, match=message):
             rollout_frames.load(path, data_path)
-
-    check(str(tmp_path / 'none.npz'), 'no such file', error=FileNotFoundError)
-    check(str(tmp_path / 'rollout.pkl'), 'is a pickle, which is never read')
-    check(made[0], 'no such dataset', str(tmp_path / 'none'), FileNotFoundError)
-    files.write_npz(foreign := str(tmp_path / 'foreign.npz'), positions=np.zeros(3))
-    check(foreign, r"lacks \['initial_positions'.*it has \['positions'\]")
     arrays = files.read_npz(made[0])
-    types, predicted = arrays['particle_types'], arrays['predicted_rollout']
-    check(change(particle_types=types[1:]), r'has shape \(6, 23, 3\), \(6, 22, 3\)')
-    check(change(predicted_rollout=predicted[1:]), 'has shape .*was expected')
-    check(change(predicted_rollout=predicted.astype(complex)), 'no real numbers')
-    check(change(predicted_forces=None), "lacks .'predicted_forces'")
-    check(change(predicted_forces=predicted[0]), 'predicted_forces has shape')
-    check(change(predicted_rollout=predicted * np.nan), 'no predicted frame is finite')
-    check(change(ground_truth_rollout=predicted * np.nan), 'ground_truth_rollout has NaN')
-    check(change('{'), 'is not JSON')
-    check(change(json.dumps({'mode_number': 8})), 'lacks .*dt')
-    check(change({'mode_number': 99}), 'has 23 nodes but its metadata says mode_number 99')
-    check(change({'mode_number': 2}), 'has 3 modes, the rollout has 2')
-    check(change({'pca': {'digest': 'f' * 64}}), 'not the subspace of this rollout')
-    check(change(**without_body(made)), 'has modes only', None)
+    predicted, truth = arrays['predicted_rollout'], arrays['ground_truth_rollout']
+    for changes, message in (
+        ({'particle_types': arrays['particle_types'][1:]}, r'has shape \(6, 23, 3\), \(6, 22, 3\)'),
+        ({'predicted_rollout': predicted[1:]}, 'has shape .*was expected'),
+        ({'predicted_rollout': predicted.astype(complex)}, 'no real numbers'),
+        ({'predicted_rollout': predicted * np.nan}, 'no predicted frame is finite'),
+        ({'predicted_forces': None}, "lacks .'predicted_forces'"),
+        ({'predicted_forces': predicted[0]}, 'predicted_forces has shape'),
+        ({'ground_truth_rollout': truth * np.nan}, 'ground_truth_rollout has NaN'),
+        ({'metadata': '{'}, 'is not JSON'),
+        ({'metadata': json.dumps({'mode_number': 8})}, 'lacks .*dt'),
+        ({'metadata': {'mode_number': 99}}, 'has 23 nodes but its metadata says mode_number 99'),
+        ({'metadata': {'mode_number': 2}}, 'has 3 modes, the rollout has 2'),
+        ({'metadata': {'pca': {'digest': 'f' * 64}}}, 'not the subspace of this rollout'),
+    ):
+        with pytest.raises(ValueError, match=message):
+            rollout_frames.load(change(**changes), made[1])
+    out = str(tmp_path / 'out')
     with pytest.raises(ValueError, match=r"--format has \['avi'\]; there are png, gif"):
-        render_rollout.render(*made, str(tmp_path / 'out'), formats=['gif', 'avi'])
-    moved = arrays['ground_truth_rollout'].copy()
-    moved[5, N_RIGID, 0] += 1e-3
-    other = {'other': change(ground_truth_rollout=moved)}
+        render_rollout.render(*made, out, formats=['gif', 'avi'])
+    truth[5, N_RIGID, 0] += 1e-3
+    other = {'other': change(ground_truth_rollout=truth)}
     with pytest.raises(ValueError, match=r'\(other\) is no rollout of the run of'):
-        render_rollout.render(*made, str(tmp_path / 'out'), beside=other)
-    assert not (tmp_path / 'out').exists()
-
-
-def test_the_force_axis_clips_no_prediction(made, change):
-    force = files.read_npz(made[0])['predicted_forces']
-    force[20] = [900.0, -700.0, 0.0]
-    frames = rollout_frames.load(change(predicted_forces=force), made[1])
-    figure = strip(frames, particle_views.setup(frames, 'xy', np.arange(0, N_SHOWN, 3)))
-    (axes,) = (a for a in figure.axes if 'force' in a.get_ylabel())
-    low, high = axes.get_ylim()
-    assert low < -700 and high > 900
-    names = {text.get_text() for text in axes.get_legend().get_texts()}
-    ways = 'against the way', 'up'
-    assert names == {f'{way}, {name}' for way in ways for name in ('solver', PREDICTION)}
+        render_rollout.render(*made, out, beside=other)
+    assert not os.path.exists(out)
 
 
 @pytest.mark.parametrize('way', [1.0, -1.0])
-def test_a_force_against_the_way_is_drawn_upwards(frames, view, way):
+def test_a_force_against_the_way_is_drawn_upwards_and_a_peak_is_not_clipped(frames, view, way):
     start, steps = frames.rigid[TRUTH][:1], np.arange(frames.n_frames)[:, None, None]
     there = start + 0.01 * way * steps * [1.0, 0.0, 0.0]
     force = np.tile([-30.0 * way, 10.0, 0.0], (frames.n_frames, 1))
-    changed = dataclasses.replace(
-        frames, rigid=dict.fromkeys(frames.rigid, there), force=dict.fromkeys(frames.force, force)
+    peak = force.copy()
+    peak[20, :2] = -900.0 * way, -700.0
+    moved = dataclasses.replace(
+        frames, rigid=dict.fromkeys(frames.rigid, there), force={TRUTH: force, PREDICTION: peak}
     )
-    (axes,) = (a for a in strip(changed, view).axes if 'force' in a.get_ylabel())
+    (axes,) = (a for a in strip(moved, view).axes if 'force' in a.get_ylabel())
+    low, high = axes.get_ylim()
+    assert low < -700 and high > 900
     drawn = {line.get_label(): line.get_ydata()[-1] for line in axes.lines}
-    assert drawn['against the way, solver'] == drawn['against the way, prediction'] == 30
-    assert drawn['up, solver'] == 10
+    for name in ('solver', PREDICTION):
+        assert (drawn[f'against the way, {name}'], drawn[f'up, {name}']) == (30, 10)
+    assert len(axes.get_legend().get_texts()) == 4
 
 
 def test_the_error_axis_shows_frames_that_are_exact(frames, view):
@@ -245,7 +226,7 @@ def test_the_error_axis_shows_frames_that_are_exact(frames, view):
 def test_soil_body_and_force_are_where_they_should_be(frames, view):
     """Whatever was drawn before; in colours of the error, the truth has one colour."""
     figure = animated(frames, view)
-    for i in (0, 33, 20):
+    for i in (33, 20):
         pixels = figure.draw(i)
     np.testing.assert_array_equal(pixels, animated(frames, view).draw(20))
     assert pixels.shape[0] % 2 == pixels.shape[1] % 2 == 0
@@ -267,28 +248,21 @@ def test_soil_body_and_force_are_where_they_should_be(frames, view):
     np.testing.assert_allclose(np.sort(prediction), np.sort(error))
 
 
-def test_a_wheel_is_a_circle(made, change, view):
+def test_a_wheel_is_a_circle(frames, view):
     angle = np.arange(N_RIGID) * np.pi / 5 + 0.1
-    ring = np.stack(
-        [0.5 + 0.15 * np.cos(angle), 0.4 + 0.15 * np.sin(angle), np.repeat([0.3, 0.4], 10)], -1
-    )
-    arrays = files.read_npz(made[0])
-    for key in NODES:
-        arrays[key][:, :N_RIGID] = ring
-    del arrays['metadata']
-    drawn = animated(rollout_frames.load(change(**arrays), made[1]), view)
+    ring = [0.5 + 0.15 * np.cos(angle), 0.4 + 0.15 * np.sin(angle), np.repeat([0.3, 0.4], 10)]
+    there = np.tile(np.stack(ring, -1), (frames.n_frames, 1, 1))
+    drawn = animated(dataclasses.replace(frames, rigid=dict.fromkeys(frames.rigid, there)), view)
     drawn.draw(20)
     outline = drawn.views[0].body.get_xy()
     np.testing.assert_allclose(np.linalg.norm(outline - [0.5, 0.4], axis=1), 0.15, rtol=1e-5)
     assert len(drawn.views[0].spokes.get_segments()) == N_RIGID
 
 
-def test_a_second_model_is_drawn_beside_the_first(made, frames, view, change):
+def test_a_second_model_is_drawn_beside_the_first(frames, view):
     """Each with its own soil; a strip gets a row more."""
-    shifted = files.read_npz(made[0])['predicted_rollout']
-    shifted[:, N_RIGID, 0] += 0.3
-    path = change(predicted_rollout=shifted)
-    other = rollout_frames.load(path, made[1], 'other')
+    soil = frames.soil | {PREDICTION: frames.soil[PREDICTION] + [0.01, 0, 0]}
+    other = dataclasses.replace(frames, label='other', soil=soil)
     figure = animated(frames, view, beside=[other])
     assert len(figure.views) == 3 and figure.draw(20).any()
     for drawn, one in zip(figure.views[1:], (frames, other)):
@@ -300,8 +274,7 @@ def test_a_second_model_is_drawn_beside_the_first(made, frames, view, change):
 
 
 @pytest.mark.parametrize(
-    'plane, left_out',
-    [('xz', ''), ('yx', ''), ('xy', 'subspace'), ('zy', 'force'), ('xy', 'body'), ('xy', 'motion')],
+    'plane, left_out', [('yx', 'subspace'), ('zy', 'force'), ('xz', 'body'), ('xy', 'motion')]
 )
 def test_every_scene_can_be_drawn(made, change, plane, left_out):
     arrays = files.read_npz(made[0])
@@ -311,8 +284,8 @@ def test_every_scene_can_be_drawn(made, change, plane, left_out):
         'body': without_body(made),
         'motion': dict(zip(NODES, (still[:N_GIVEN], still, still))),
     }
-    path = change({'projection_mse': None} if left_out == 'motion' else None,
-                  **changes.get(left_out, {}))  # fmt: skip
+    metadata = {'projection_mse': None} if left_out == 'motion' else None
+    path = change(metadata, **changes.get(left_out, {}))
     frames = rollout_frames.load(path, None if left_out == 'subspace' else made[1])
     view = particle_views.setup(frames, plane, np.arange(0, N_SHOWN, 20))
     figure = animated(frames, view, 'error' if left_out == 'motion' else 'speed')
@@ -322,15 +295,15 @@ def test_every_scene_can_be_drawn(made, change, plane, left_out):
 
 @pytest.mark.parametrize(('up_axis', 'axes'), [(0, (1, 0)), (1, (0, 1)), (2, (0, 2))])
 def test_upward_axis_is_up(made, change, monkeypatch, up_axis, axes):
-    scene = {'name': 'excavation', 'rigid_motion': 'prescribed', 'force': True, 'up_axis': up_axis}
+    scene = {'rigid_motion': 'prescribed', 'force': True, 'up_axis': up_axis}
     frames = rollout_frames.load(change({'scene': scene}), made[1])
     monkeypatch.setattr(particle_views, '_SIDE_VIEW_LEAST', 10)
     monkeypatch.setattr(particle_views, '_SIDE_VIEW_SHARE', 0.0)
     side = particle_views.setup(frames, None, np.arange(0, N_SHOWN, 20))
-    assert side.plane == axes and len(side.particles) == 10
-    depth = ({0, 1, 2} - set(axes)).pop()
+    assert side.plane == axes
+    depth = 3 - sum(axes)
     away = np.abs(frames.start[:, depth] - frames.rigid[TRUTH][0][:, depth].mean())
-    assert set(side.particles) == set(np.argsort(away, kind='stable')[:10])
+    assert side.particles.tolist() == np.argsort(away, kind='stable')[:10].tolist()
 
 
 def test_movies_have_the_frames_they_were_given(tmp_path):
@@ -338,8 +311,7 @@ def test_movies_have_the_frames_they_were_given(tmp_path):
     frames = np.full((4, 20, 30, 3), 255, np.uint8)
     for i, frame in enumerate(frames):
         frame[2:8, 5 * i : 5 * i + 5] = (200, 40 * i, 10)
-    path = str(tmp_path / 'a.gif')
-    movie_files.write(path, 'gif', iter(frames), 0.05)
+    movie_files.write(path := str(tmp_path / 'a.gif'), 'gif', iter(frames), 0.05)
     with image.open(path) as gif:
         assert gif.n_frames == 4
         for i, frame in enumerate(frames):
@@ -347,8 +319,8 @@ def test_movies_have_the_frames_they_were_given(tmp_path):
             np.testing.assert_array_equal(np.asarray(gif.convert('RGB')), frame)
             assert gif.info['duration'] == (50 if i < 3 else 1500)
     levels = [20, 120, 220]
-    path = str(tmp_path / 'a.mp4')
-    movie_files.write(path, 'mp4', (np.full((64, 96, 3), x, np.uint8) for x in levels), 0.05)
+    plain = (np.full((64, 96, 3), x, np.uint8) for x in levels)
+    movie_files.write(path := str(tmp_path / 'a.mp4'), 'mp4', plain, 0.05)
     reader = ffmpeg.read_frames(path)
     about = next(reader)
     assert about['size'] == (96, 64) and about['fps'] == 20
@@ -368,8 +340,7 @@ def test_command(made, tmp_path):
         '--step_stride=20', '--color_by=error', '--format=png,gif,mp4,vtp',
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
-    written = {name for name in os.listdir(tmp_path) if not name.startswith('.')}
-    assert written == {f'rollout_test_0{end}' for end in ('.png', '.gif', '.mp4', '_vtk')}
     for end in ('.png', '.gif', '.mp4', '_vtk/truth.pvd'):
-        assert str(tmp_path / f'rollout_test_0{end}') in done.stdout
+        path = tmp_path / f'rollout_test_0{end}'
+        assert path.exists() and str(path) in done.stdout
     assert 'A blade cuts' in done.stdout and 'soil error' in done.stdout

@@ -8,7 +8,7 @@ import subprocess
 import numpy as np
 import pytest
 
-from learning_to_simulate.live.soil import surface
+from learning_to_simulate.live.soil import Particles
 from learning_to_simulate.native import engines, library, soil_data
 from learning_to_simulate.soil_field.stepper import SoilStepper
 from learning_to_simulate.soil_field.terrain import Terrain
@@ -83,9 +83,9 @@ def test_the_node_sends_what_the_stepper_says(tmp_path):
         np.testing.assert_allclose(last, soil[-1], atol=1e-5)
         cell, x, y, nx, ny, *heights = map(float, found['map'][k])
         nx, ny = int(nx), int(ny)
-        extent = np.array([[x - nx * cell / 2, x + nx * cell / 2],
-                           [y - ny * cell / 2, y + ny * cell / 2]])  # fmt: skip
-        ours = surface(soil, extent, 2, nx, ny)
+        half = cell / 2 * np.array([nx, ny, 0])
+        corners = np.array([x, y, 0]) + [-half, half]
+        ours = Particles(corners, 2).height_map(soil, nx, ny)
         # Cell (0, 0) of grid_map is at the largest x and y.
         theirs = np.reshape(heights, (ny, nx)).T[::-1, ::-1]
         np.testing.assert_allclose(ours, theirs, atol=1e-5)

@@ -77,17 +77,15 @@ def test_of_a_wheel_the_error_of_the_drawbar_is_first():
 
 def test_of_a_large_terrain_what_lies_about_the_path_is_drawn():
     """The same picture where 5 m of terrain lie around the small one."""
-    small = arrays()
-    wide = np.pad(small['predicted_heights'], ((0, 0), (250, 250), (250, 250)), mode='edge')
+    wide = np.pad(arrays()['predicted_heights'], ((0, 0), (250, 250), (250, 250)), mode='edge')
     wide[:, 0, 0] = 5.0  # far away
     large = arrays(heights_before=wide[0], predicted_heights=wide, corner=np.array([-5.0, -5.0]))
-    figure = terrain_views.figure(large, [2], 50)
-    _, plan = figure.axes[:2]
-    x, z = plan.get_xlim(), plan.get_ylim()
-    np.testing.assert_allclose([*x, *z], [-0.3, 1.5, -0.4, 1.0], atol=0.021)
-    line = figure.axes[0].get_lines()[0]
-    assert line.get_ydata().max() == pytest.approx(HEIGHT + RISE)
-    assert line.get_xdata()[0] == pytest.approx(-0.4) and line.get_xdata()[-1] == pytest.approx(0.8)
+    side, plan = terrain_views.figure(large, [2], 50).axes[:2]
+    limits = [*plan.get_xlim(), *plan.get_ylim()]
+    np.testing.assert_allclose(limits, [-0.3, 1.5, -0.4, 1.0], atol=0.021)
+    u, heights = side.get_lines()[0].get_data()
+    assert heights.max() == pytest.approx(HEIGHT + RISE)
+    assert (u[0], u[-1]) == pytest.approx((-0.4, 0.8))
 
 
 def test_a_map_lies_on_its_longer_side():
@@ -113,10 +111,8 @@ def test_files_are_drawn_and_what_failed_is_said(tmp_path):
         assert (tmp_path / f'rollout_test_0.npz.{kind}').stat().st_size > 1000
     with pytest.raises(ValueError, match='must end in .png, .gif or .mp4'):
         render_rollout.draw_terrain(arrays(), f'{path}.vtp')
-    none = arrays()
-    failed = {'pose': none['pose'] * np.nan, 'status': np.array('non_finite'),
-              'predicted_heights': none['predicted_heights'] * np.nan,
-              'status_reason': np.array('refused: it jumps')}  # fmt: skip
-    figure = terrain_views.figure(none | failed, [0], 50)
-    texts = [text.get_text() for text in figure.axes[0].texts]
-    assert texts == ['no prediction'] and 'refused: it jumps' in figure.get_suptitle()
+    failed = {name: np.nan * arrays()[name] for name in ('pose', 'predicted_heights')}
+    said = {'status': np.array('non_finite'), 'status_reason': np.array('refused: it jumps')}
+    figure = terrain_views.figure(arrays(**failed, **said), [0], 50)
+    assert [text.get_text() for text in figure.axes[0].texts] == ['no prediction']
+    assert 'refused: it jumps' in figure.get_suptitle()
