@@ -206,8 +206,7 @@ def refuse_contradictions(model_path: str, overrides: dict) -> None:
 
 
 def check_dataset(model_path, model, data_path, metadata):
-    """Raises ValueError for a dataset of other modes, of another subspace, or with a force or
-    context that only one of both has."""
+    """Raises ValueError for a dataset of other modes, of another subspace, or as `check_parts`."""
     scene, config = model.simulator.scene, model.simulator.config
     found, first = metadata['mode_number'], getattr(config, 'modes', 0)
     if found < scene.n_modes or not first and found != scene.n_modes:
@@ -222,6 +221,12 @@ def check_dataset(model_path, model, data_path, metadata):
             f'trained on the modes of {there[:12]}...: convert the runs with --like, or train '
             f'again'
         )
+    check_parts(model_path, scene, data_path, metadata)
+
+
+def check_parts(model_path, scene, data_path, metadata):
+    """Raises ValueError for a dataset with a force or context that only it or the scene of the
+    model has."""
     keys = {'rigid_body_force_mean': scene.has_force, 'context_mean': bool(scene.context_names)}
     for key, wanted in keys.items():
         if (key in metadata) != wanted:

@@ -311,13 +311,9 @@ def _displacements(positions, origin, n_modes):
 
 def _contexts(groups):
     """[..., C] of groups; where one changes in time, all count by frame."""
-    contexts = [group.context for group in groups]
-    if all(c.ndim == 2 for c in contexts):
-        return contexts
-    return [
-        np.broadcast_to(c if c.ndim == 3 else c[:, None], (*g.position.shape[:2], c.shape[-1]))
-        for c, g in zip(contexts, groups, strict=True)
-    ]
+    if any(group.context_changes for group in groups):
+        return [group.context_by_frame for group in groups]
+    return [group.context for group in groups]
 
 
 def ranges(groups, scene) -> dict[str, np.ndarray]:

@@ -78,7 +78,6 @@ PRESETS: dict[str, Any] = {
         latent_size=32,
         message_passing_steps=3,
         batch_size=2,
-        num_steps=5000,
         decay_steps=2500.0,
     ),
     **soil_field_settings.PRESETS,

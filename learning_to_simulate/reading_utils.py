@@ -55,11 +55,17 @@ class RunGroup:
     def context_changes(self) -> bool:
         return self.context is not None and self.context.ndim == 3
 
+    @property
+    def context_by_frame(self) -> np.ndarray | None:
+        """float64 [S, T, C]; None without a context."""
+        if self.context is None or self.context_changes:
+            return self.context
+        shape = (*self.position.shape[:2], self.context.shape[-1])
+        return np.broadcast_to(self.context[:, None], shape)
+
     def context_at(self, frame: int, run: int) -> np.ndarray | None:
         """float64 [C]: the context in a frame of a run; None without one."""
-        if self.context is None:
-            return None
-        return self.context[run, frame] if self.context_changes else self.context[run]
+        return None if self.context is None else self.context_by_frame[run, frame]
 
     @property
     def n_left_modes(self) -> int:

@@ -83,8 +83,8 @@ class PathInputs:
     grid: swept.SweptGrid  # bins of the swept profile
 
     @classmethod
-    def of(cls, groups, scene: Scene, surface=None) -> 'PathInputs':
-        """The reader for training groups."""
+    def of(cls, groups, scene: Scene, surface: float | None = None) -> 'PathInputs':
+        """The reader for training groups; arguments as of `PathRidge.fit`."""
         bodies = [g.position[:, :, : g.n_rigid] for g in groups]
         axes = Axes.of_bodies(bodies, scene.up_axis)
         u = [axes.plane(b).mean(axis=2)[..., 0] for b in bodies]
@@ -114,11 +114,9 @@ class PathInputs:
         else:
             parts = self._wheel(seen_body(body, self.scene))
         if group.context is not None:
-            by_frame = group.context if group.context_changes else group.context[:, None]
             # Loads and gravities span decades: logarithms of what is positive.
-            positive = by_frame > 0
-            values = np.where(positive, np.log(np.where(positive, by_frame, 1.0)), by_frame)
-            parts.append(np.broadcast_to(values, (*body.shape[:2], values.shape[-1])))
+            values, positive = group.context_by_frame, group.context_by_frame > 0
+            parts.append(np.where(positive, np.log(np.where(positive, values, 1.0)), values))
         return np.concatenate(parts, axis=-1)
 
     def _blade(self, body, name):

@@ -29,8 +29,8 @@ from learning_to_simulate.rollout import Rollout
 from learning_to_simulate.rollout_status import judge
 from learning_to_simulate.scene import RigidMotion
 from learning_to_simulate.training import loop
-from learning_to_simulate.training.schedule import GradientTraining
-from pca_tools import dataset, files
+from learning_to_simulate.training.schedule import GradientTraining, check_window, mean_of
+from pca_tools import dataset
 from pca_tools.raw_runs import RawRuns
 from pca_tools.subspace import Subspace
 
@@ -113,24 +113,14 @@ def _raw_soil(raw_path, metadata, data_path, split, records):
         yield run.positions.astype(np.float64)
 
 
-def history_of(group, run: int, end: int):
-    """Position [V, D] of frame `end` of a run and the velocities [H - 1, V, D] up to it."""
-    frames = group.position[run, end - H + 1 : end + 1]
-    return frames[-1], np.diff(frames, axis=0)
-
-
 class ParticleTrainer(GradientTraining):
     """Single steps with random-walk noise: holds one `RunGroup` of particles, the optimiser and one
     compiled step; batches are made on the host. ValueError: runs shorter than a window."""
 
     def __init__(self, model, group):
         super().__init__(model.simulator, clip_norm=1.0)
+        check_window([group], H + 1)
         self._group = group
-        if self._group.position.shape[1] <= H:
-            raise ValueError(
-                f'runs of {self._group.position.shape[1]} frames are shorter than the training '
-                f'window of {H + 1} frames'
-            )
         self._compiled = tf.function(self._train_step, autograph=False, reduce_retracing=True)
 
     def step(self, step: int) -> dict[str, tf.Tensor]:
@@ -149,10 +139,9 @@ class ParticleTrainer(GradientTraining):
         """Mean one-step losses without noise over random windows."""
         rows = []
         for i in range(n_batch):
-            rng = self.generator(_EVALUATION_STREAM, i)
-            samples = [self._sample(run, start) for run, start in self._windows(rng, 4)]
-            rows.append({k: float(v) for k, v in self._losses(*self._batch(samples)).items()})
-        return {k: float(np.mean([row[k] for row in rows])) for k in rows[0]}
+            windows = self._windows(self.generator(_EVALUATION_STREAM, i), 4)
+            rows.append(self._losses(*self._batch([self._sample(*window) for window in windows])))
+        return mean_of(rows)
 
     def _windows(self, rng, size):
         n_run, n_frame = self._group.position.shape[:2]
@@ -169,9 +158,9 @@ class ParticleTrainer(GradientTraining):
         walk of the noise reaches `noise_std` in the last velocity (SG 2020, B.1)."""
         group, simulator, config = self._group, self.simulator, self.config
         s, scene, n = simulator.statistics, simulator.scene, self._group.n_rigid
-        end = start + H - 1
-        position, velocity = history_of(group, run, end)
-        coming = group.position[run, end + 1] - position
+        frames, coming_frame = group.position[run, start : start + H], start + H
+        position, velocity = frames[-1], np.diff(frames, axis=0)
+        coming = group.position[run, coming_frame] - position
         given = simulator.given_motion(coming[:n])
         rate = simulator.rate(given)
         if walk is not None:
@@ -179,7 +168,7 @@ class ParticleTrainer(GradientTraining):
             walk = walk.cumsum(axis=0) * std / np.sqrt(len(velocity))
             walk[:, :n] = 0.0
             position, velocity = position + walk.sum(axis=0), velocity + walk
-        context = group.context_at(end + 1, run)
+        context = group.context_at(coming_frame, run)
         graph = simulator.inputs(position, velocity, given, context, n)
         target = coming / (rate * s.velocity_std[1])
         weight = np.full(target.shape, 1.0 / (len(target) - n))
@@ -190,23 +179,26 @@ class ParticleTrainer(GradientTraining):
             target[:n, up], weight[:n, up] = height, 1.0 / n
         force = np.zeros(simulator.dim)
         if scene.has_force:
-            force = (group.force[run, end + 1] - s.force_mean) / s.force_std
+            force = (group.force[run, coming_frame] - s.force_mean) / s.force_std
         return graph, target, weight, force
 
     def _batch(self, samples):
         """Graphs side by side as one, with the index of the body's particles [B, R]."""
         graphs, targets, weights, forces = zip(*samples)
+        nodes, edges, senders, receivers = zip(*graphs)
         n_node, n = len(targets[0]), self._group.n_rigid or len(targets[0])
         first = np.arange(len(samples)) * n_node
-        ends = [
-            np.concatenate([graph[i] + shift for graph, shift in zip(graphs, first)])
-            for i in (2, 3)
-        ]
-        values = (*(np.concatenate([g[i] for g in graphs]) for i in (0, 1)), *ends)
-        values += (np.concatenate(targets), np.concatenate(weights), np.stack(forces))
-        types = (tf.float32, tf.float32, tf.int32, tf.int32, tf.float32, tf.float32, tf.float32)
-        tensors = [tf.constant(v, t) for v, t in zip(values, types)]
-        return (*tensors, tf.constant(first[:, None] + np.arange(n), tf.int32))
+        ends = (
+            np.concatenate([end + shift for end, shift in zip(each, first)])
+            for each in (senders, receivers)
+        )
+        rows = (np.concatenate(each) for each in (nodes, edges, targets, weights))
+        nodes, edges, *others = (tf.constant(values, tf.float32) for values in rows)
+        return (
+            nodes, edges, *(tf.constant(end, tf.int32) for end in ends), *others,
+            tf.constant(np.stack(forces), tf.float32),
+            tf.constant(first[:, None] + np.arange(n), tf.int32),
+        )  # fmt: skip
 
     def _losses(self, nodes, edges, senders, receivers, target, weight, force, body):
         predicted, forces = self.simulator.decode(nodes, edges, senders, receivers)
@@ -219,12 +211,9 @@ class ParticleTrainer(GradientTraining):
         return {'loss': motion + error, 'loss_mse': motion, 'loss_force_mse': error}
 
     def _train_step(self, step, *batch):
-        variables = self.simulator.trainable_variables
         with tf.GradientTape() as tape:
             values = self._losses(*batch)
-        gradients = tape.gradient(values['loss'], variables)
-        self.optimizer.apply_gradients(zip(gradients, variables, strict=True))
-        self.averaging.update(step)
+        self.apply(tape.gradient(values['loss'], self.simulator.trainable_variables), step)
         return values
 
 
@@ -273,35 +262,31 @@ def train(data_path, model_path, config, options) -> dict:
     """Trains to the end, or resumes; see `registry.train`."""
     raw_path = options.raw_path
     metadata = dataset.read_metadata(data_path)
-    read = {
-        split: read_runs(data_path, raw_path, split, metadata, config.soil_particles)
-        for split in ('train', 'valid')
-        if os.path.exists(dataset.split_path(data_path, split))
+    has_valid = os.path.exists(dataset.split_path(data_path, 'valid'))
+    by_split = {
+        split: [read_runs(data_path, raw_path, split, metadata, config.soil_particles)]
+        for split in (['train', 'valid'] if has_valid else ['train'])
     }
-    group = read['train']
+    (group,) = by_split['train']
     model = make_model(data_path, metadata, group, config, options.rigid_motion)
     source, scene = RAW if raw_path else DECODED, model.simulator.scene
-    weights = sum(int(np.prod(v.shape)) for v in model.simulator.trainable_variables)
     training = loop.Training(
         model=model,
         trainer=ParticleTrainer(model, group),
         evaluator=ParticleEvaluator(
             model, {} if raw_path else metadata, starts.largest_force([group])
         ),
-        valid=[read['valid']] if 'valid' in read else [],
+        valid=by_split.get('valid', []),
         n_rigid=group.n_rigid,
         data={
             'path': data_path,
             'source': source,
-            'sha256': {'metadata.json': files.sha256_of_file(f'{data_path}/metadata.json')},
+            'sha256': checkpoints.digests(data_path, ['metadata.json']),
         },
         title=f'{config.preset} on {data_path} ({source}): {len(group.position)} runs, '
         f'{group.n_rigid} rigid and {scene.n_soil} soil particles, radius '
-        f'{scene.connectivity_radius:.4g} m, {weights} weights',
-    )
-    by_split = {split: [runs] for split, runs in read.items()}
-    training.write_files = lambda path: starts.write_parts(
-        path, starts.of_groups(data_path, by_split)
+        f'{scene.connectivity_radius:.4g} m',
+        write_files=lambda path: starts.write_parts(path, starts.of_groups(data_path, by_split)),
     )
     return loop.run(training, model_path, options)
 
@@ -341,11 +326,7 @@ def open_model(model_path, data_path, split, raw_path=None) -> OpenedModel:
             f'{data_path} has {group.position.shape[2] - group.n_rigid} thinned soil particles, '
             f'the model in {model_path} was trained on {scene.n_modes}'
         )
-    for part, has in (('force', scene.has_force), ('context', bool(scene.context_names))):
-        if (getattr(group, part) is not None) != has:
-            raise ValueError(
-                f'{data_path} {"lacks" if has else "has"} a {part}, unlike the data of {model_path}'
-            )
+    checkpoints.check_parts(model_path, scene, data_path, metadata)
     metadata = {} if raw_path else metadata
     return OpenedModel(
         model,

@@ -110,8 +110,8 @@ class ParticleSimulator(snt.Module):
     are all to be predicted. In its scene `n_modes` counts the soil particles, and
     `connectivity_radius` is that of the graph; `particle_types` are for the record."""
 
-    def __init__(self, scene: Scene, config, statistics, particle_types=(0, 6), name=None):
-        super().__init__(name=name)
+    def __init__(self, scene: Scene, config, statistics, particle_types):
+        super().__init__()
         if scene.rigid_motion == RigidMotion.PREDICTED:
             raise ValueError(
                 'full_space takes a body whose motion is prescribed or driven, or none'

@@ -99,10 +99,8 @@ class LearnedSimulator(snt.Module):
     """One frame of the simulation of B graphs; `particle_types` are those of the rigid particles
     and of the modes, for the published type embedding."""
 
-    def __init__(
-        self, scene: Scene, config: TrainConfig, statistics, particle_types=(0, 6), name=None
-    ):
-        super().__init__(name=name)
+    def __init__(self, scene: Scene, config: TrainConfig, statistics, particle_types):
+        super().__init__()
         self.scene, self.config, self.statistics = scene, config, statistics
         self.particle_types = particle_types
         self.dim = statistics.origin.shape[1]

@@ -6,7 +6,6 @@ The `code` of gns, the MLP and the mixers in `registry`; `subspace_model` makes 
 import dataclasses
 import os
 
-import numpy as np
 import tensorflow as tf
 
 from learning_to_simulate import bed, checkpoints, evaluation, normalization, reading_utils
@@ -17,7 +16,7 @@ from learning_to_simulate.registry import OpenedModel
 from learning_to_simulate.scene import RigidMotion
 from learning_to_simulate.subspace import contact, edge_lists
 from learning_to_simulate.subspace.path_memory import PathMemory
-from learning_to_simulate.subspace.subspace_model import SIMULATORS, Model, load
+from learning_to_simulate.subspace.subspace_model import Model, load, make_simulator
 from pca_tools import dataset
 from pca_tools.subspace import Subspace
 
@@ -45,9 +44,8 @@ def make_model(data_path, metadata, groups, config, rigid_motion=None) -> Model:
     velocities = [g.velocity[:, :, g.n_rigid :] for g in groups]
     edges = edge_lists.choose(config, data_path, scene.n_modes, velocities)
     types = groups[0].particle_type
-    make = SIMULATORS[config.model]
-    simulator = make(scene, config, statistics, (int(types[0]), int(types[-1])))
-    model = Model(simulator, *edges)
+    types = int(types[0]), int(types[-1])
+    model = Model(make_simulator(scene, config, statistics, types), *edges)
     for group in groups:
         model.layout(group.n_rigid)
     tf.random.set_seed(config.seed)
@@ -64,7 +62,7 @@ def _path_memory(data_path, metadata, groups, scene):
     bodies = [g.position[:, :, : g.n_rigid] for g in groups]
     axes = Axes.of_bodies(bodies, scene.up_axis)
     surface = bed.height_of_dataset(data_path, metadata, axes)
-    return PathMemory.of_runs(bodies, scene, surface)
+    return PathMemory.of_runs(bodies, axes, surface, scene.dt)
 
 
 def _with_copies(model, groups, data_path):
@@ -98,7 +96,6 @@ def train(data_path, model_path, config, options) -> dict:
     model = make_model(data_path, metadata, groups, config, options.rigid_motion)
     trainer = Trainer(model, _with_copies(model, groups, data_path))
     layouts = [model.layout(g.n_rigid) for g in groups]
-    weights = sum(int(np.prod(v.shape)) for v in model.simulator.trainable_variables)
     training = loop.Training(
         model=model,
         trainer=trainer,
@@ -107,10 +104,10 @@ def train(data_path, model_path, config, options) -> dict:
         n_rigid=groups[0].n_rigid,
         data=checkpoints.data_record(data_path, metadata),
         title=f'{config.preset} on {data_path}: {sum(len(g.position) for g in groups)} runs, '
-        f'{", ".join(f"{x.n_node} nodes / {x.n_edge} edges" for x in layouts)}, '
-        f'{weights} weights; edges: {model.edge_source}',
+        f'{", ".join(f"{x.n_node} nodes / {x.n_edge} edges" for x in layouts)} '
+        f'({model.edge_source})',
+        write_files=lambda path: starts.write(path, data_path, config.nodes),
     )
-    training.write_files = lambda path: starts.write(path, data_path, config.nodes)
     if trainer.gates:
         training.close_gates = lambda path: _close_gates(training, data_path, path)
     return loop.run(training, model_path, options)

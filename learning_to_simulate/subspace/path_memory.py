@@ -61,15 +61,14 @@ class PathMemory:
     grid: SweptGrid = SweptGrid(EDGE_RADIUS)
 
     @classmethod
-    def of_runs(cls, bodies, scene, surface=None) -> 'PathMemory':
+    def of_runs(cls, bodies, axes: Axes, surface: float | None, dt: float) -> 'PathMemory':
         """The reader for training runs, list of bodies [S, T, R, D], m, that are prescribed; the
-        surface is by default where the tools begin."""
-        axes = Axes.of_bodies(bodies, scene.up_axis)
+        surface is where the tools begin if it is not known."""
         tips = [blade_pose(body, axes)[0] for body in bodies]
         if surface is None:
             surface = np.mean([tip[:, 0, 1].mean() for tip in tips])
         reach = min(t[..., 0].min() for t in tips), max(t[..., 0].max() for t in tips)
-        return cls(axes, float(surface), (float(reach[0]), float(reach[1])), scene.dt)
+        return cls(axes, float(surface), (float(reach[0]), float(reach[1])), dt)
 
     @classmethod
     def of_statistics(cls, values, scene) -> 'PathMemory':

@@ -11,13 +11,17 @@ from learning_to_simulate.connectivity_utils import build
 from learning_to_simulate.live import soil
 from learning_to_simulate.normalization import Statistics
 from learning_to_simulate.scene import MAX_RIGID, is_int, require
-from learning_to_simulate.subspace import path_memory, whole_state
+from learning_to_simulate.subspace import path_memory
 from learning_to_simulate.subspace.learned_simulator import Layout, LearnedSimulator, SimulatorState
 from learning_to_simulate.subspace.rigid_body import KnownMotion
+from learning_to_simulate.subspace.whole_state import WholeStateSimulator
 from pca_tools.subspace import Subspace
 
-# `TrainConfig.model` -> makes a simulator with fresh weights; arguments as of `LearnedSimulator`.
-SIMULATORS = {'gns': LearnedSimulator} | whole_state.SIMULATORS
+
+def make_simulator(scene, config, statistics, particle_types) -> LearnedSimulator:
+    """A simulator with fresh weights; arguments as of `LearnedSimulator`."""
+    make = LearnedSimulator if config.has_graph else WholeStateSimulator
+    return make(scene, config, statistics, particle_types)
 
 
 @dataclasses.dataclass
@@ -88,18 +92,15 @@ class Model:
             tf.zeros([1, layout.n_node, s.dim]),
             tf.zeros([1, layout.n_node, INPUT_SEQUENCE_LENGTH - 1, s.dim]),
         )
-        body = tf.zeros([1, n_rigid, s.dim])
-        known = KnownMotion(body, body)
-        if layout.memory is not None:
-            start = tf.zeros([1, s.scene.n_modes, s.dim])
-            known = KnownMotion(body, body, tf.zeros([1, path_memory.WIDTH]), start)
+        body, start = tf.zeros([1, n_rigid, s.dim]), tf.zeros([1, s.scene.n_modes, s.dim])
+        known = KnownMotion(body, body, tf.zeros([1, path_memory.WIDTH]), start)
         s.predict(state, known, tf.zeros([1, len(s.scene.context_names)]), layout)
 
 
-def read_parts(path: str) -> tuple[tuple, tuple, int]:
-    """What `config.json` says of a model: the arguments of its simulator (scene, config,
-    statistics, particle types) and of `Model` (masks and source of edges), and an R that the model
-    runs on; raises as `load`."""
+def load(path: str) -> Model:
+    """Loads a model for evaluation; FileNotFoundError, ValueError: no model there, a field of
+    config.json that is missing, unknown, of another type or fits no model, or weights of another.
+    No variable is made that the weights do not hold."""
     values = checkpoints.read_config(path)
     with checkpoints.refusing_wrong_fields(path):
         config, scene, types = checkpoints.settings_and_scene(values, TrainConfig)
@@ -109,17 +110,9 @@ def read_parts(path: str) -> tuple[tuple, tuple, int]:
         require(is_int(n_rigid, 0, MAX_RIGID), 'n_rigid', n_rigid)
         require(isinstance(source, str | None), 'edge_source', source)
         masks = [_mask(values[key], key) for key in ('mode_mask', 'loaded_mask')]
-        return (scene, config, statistics, types), (*masks, source), n_rigid
-
-
-def load(path: str) -> Model:
-    """Loads a model for evaluation; FileNotFoundError, ValueError: no model there, a field of
-    config.json that is missing, unknown, of another type or fits no model, or weights of another.
-    No variable is made that the weights do not hold."""
-    of_simulator, edges, n_rigid = read_parts(path)
 
     def make():
-        model = Model(SIMULATORS[of_simulator[1].model](*of_simulator), *edges)
+        model = Model(make_simulator(scene, config, statistics, types), *masks, source)
         model.create_variables(n_rigid)
         return model
 
@@ -129,8 +122,7 @@ def load(path: str) -> Model:
 def _mask(value, name):
     if value is None:
         return None
-    rows = value if isinstance(value, list) and value else [None]
-    is_square = all(isinstance(row, list) and len(row) == len(rows) for row in rows)
-    binary = is_square and all(is_int(entry, 0, 1) for row in rows for entry in row)
-    require(binary, name, 'not a square of 0 and 1')
-    return np.array(value, bool)
+    mask = np.array(value)
+    is_square = mask.ndim == 2 and mask.shape[0] == mask.shape[1] and mask.dtype.kind == 'i'
+    require(is_square and np.isin(mask, (0, 1)).all(), name, 'not a square of 0 and 1')
+    return mask.astype(bool)

@@ -6,7 +6,6 @@ resumed gives the same weights. Windows are cut by index out of the runs.
 """
 
 import copy
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -15,11 +14,10 @@ import tensorflow as tf
 from learning_to_simulate.axes import up_vector
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.scene import RigidMotion
-from learning_to_simulate.subspace import noise_utils
 from learning_to_simulate.subspace.edge_gates import EdgeGates
 from learning_to_simulate.subspace.learned_simulator import SimulatorState, initial_state
 from learning_to_simulate.subspace.rigid_body import known_motion
-from learning_to_simulate.training.schedule import GradientTraining
+from learning_to_simulate.training.schedule import GradientTraining, check_window, mean_of
 
 CLIP_NORM = 1.0  # largest norm of the gradient of all weights
 # Independent random streams of one (seed, step).
@@ -37,13 +35,7 @@ class Trainer(GradientTraining):
     def __init__(self, model, groups):
         config = model.simulator.config
         super().__init__(model.simulator, None if config.is_published else CLIP_NORM)
-        longest = H + (config.unroll_length if config.unroll_steps else 1)
-        shortest = min(g.position.shape[1] for g in groups)
-        if shortest < longest:
-            raise ValueError(
-                f'runs of {shortest} frames are shorter than the training window of {longest} '
-                f'frames'
-            )
+        check_window(groups, H + (config.unroll_length if config.unroll_steps else 1))
         self._model = model
         self._tensors = [GroupTensors(g, model.layout(g.n_rigid), self.simulator) for g in groups]
         runs = np.array([t.n_run for t in self._tensors], float)
@@ -89,16 +81,15 @@ class Trainer(GradientTraining):
         return list(zip(tensors.record[run].tolist(), start.tolist()))
 
     def _compile(self, tensors, unrolled, gated):
-        variables = self.simulator.trainable_variables
         config, gates = self.config, self.gates if gated else None
 
         @tf.function(jit_compile=True, autograph=False)
         def train_step(step):
             windows, noise = self._seed(_WINDOW_STREAM, step), self._seed(_NOISE_STREAM, step)
-            runs, trained = tensors, variables
+            runs, trained = tensors, self.simulator.trainable_variables
             with tf.GradientTape() as tape:
                 if gates:
-                    seed, trained = self._seed(_GATE_STREAM, step), [*variables, gates.log_alpha]
+                    seed, trained = self._seed(_GATE_STREAM, step), [*trained, gates.log_alpha]
                     runs = tensors.with_layout(gates.gated(tensors.layout, config.batch_size, seed))
                 if unrolled:
                     values = self._unrolled_losses(runs, config.unroll_batch_size, windows)
@@ -109,8 +100,7 @@ class Trainer(GradientTraining):
             gradients = list(tape.gradient(values['loss'], trained))
             if gates:
                 gates.optimizer.apply_gradients([(gradients.pop(), gates.log_alpha)])
-            self.optimizer.apply_gradients(zip(gradients, variables, strict=True))
-            self.averaging.update(step)
+            self.apply(gradients, step)
             return values
 
         return train_step
@@ -126,10 +116,8 @@ class Trainer(GradientTraining):
                 seed = tf.stack([_EVALUATION_STREAM + index, i])
                 return self._single_step_losses(tensors, 64, seed, None)
 
-            rows += [
-                {k: float(v) for k, v in errors(tf.constant(i)).items()} for i in range(n_batch)
-            ]
-        return {k: float(np.mean([row[k] for row in rows])) for k in rows[0]}
+            rows += [errors(tf.constant(i)) for i in range(n_batch)]
+        return mean_of(rows)
 
     def _noisy_state(self, offset, velocity, layout, seed):
         """State after the first H frames of windows, with random-walk noise on the nodes that move
@@ -141,9 +129,11 @@ class Trainer(GradientTraining):
         std = np.full(layout.velocity_std.shape, config.noise_std, np.float32)
         if not config.is_published:
             std *= layout.velocity_std
-        noise = noise_utils.random_walk_velocity_noise(
-            state.velocity.shape, std * (layout.moving > 0), seed
-        )
+        # A random walk over the frames (SG 2020, section 4.2): the noise of frame k of n is the sum
+        # of k steps, of std sigma sqrt(k / n), sigma in the last one.
+        steps = tf.random.stateless_normal(state.velocity.shape, seed)
+        std = std * (layout.moving > 0) / (H - 1) ** 0.5
+        noise = tf.cumsum(steps, axis=2) * std[:, np.newaxis]
         if scene.rigid_motion == RigidMotion.DRIVEN:
             # One degree of freedom: every rigid particle carries the same noise, on the scale of
             # the height.
@@ -170,7 +160,7 @@ class Trainer(GradientTraining):
         known = self._known(w, layout, H)
         moved = w.velocity[:, H] if self.config.mode_order else w.offset[:, H] - state.offset
         target = simulator.normalized_target(moved, state, known, layout)
-        predicted, force = simulator.predict(state, known, w.context(H), layout)
+        predicted, force = simulator.predict(state, known, w.context_at(H), layout)
         error = predicted - target
         values = training_loss(
             error[:, None], layout.loss_weight, None if force is None else force[:, None],
@@ -186,7 +176,8 @@ class Trainer(GradientTraining):
         state = initial_state(w.offset[:, :H], w.velocity[:, 1:H])
         offsets, stepped, force = [], [], None
         for k in range(H, H + n):
-            state, of_frame = simulator.step(state, self._known(w, layout, k), w.context(k), layout)
+            known = self._known(w, layout, k)
+            state, of_frame = simulator.step(state, known, w.context_at(k), layout)
             offsets.append(state.offset)
             stepped.append(of_frame)
         if w.force is not None:
@@ -206,10 +197,14 @@ class Windows(NamedTuple):
     offset: tf.Tensor  # [B, K, V, D]
     velocity: tf.Tensor  # [B, K, V, D]
     force: tf.Tensor | None  # [B, K, F], normalised
-    context: Callable  # called with a frame of the windows it gives [B, C] or None
+    context: tf.Tensor | None  # [B, K, C]
     force_weight: tf.Tensor | None  # [B], see `training_loss`
     path: tf.Tensor | None  # [B, K, P] and [B, r, D] of `KnownMotion`
     start: tf.Tensor | None
+
+    def context_at(self, frame):
+        """[B, C] or None."""
+        return None if self.context is None else self.context[:, frame]
 
 
 class GroupTensors:
@@ -237,11 +232,9 @@ class GroupTensors:
                 floor = FORCE_FLOOR * size.max() or std[0]  # all zero: no weights
                 weight = (std[0] / np.maximum(size, floor)) ** 2
             self.force_weight = tf.constant(weight, tf.float32)
-        self._context_by_frame, self.context = group.context_changes, None
+        self.context = self.path = self.start = None
         if simulator.statistics.context_mean is not None:
-            rows = group.context.reshape(-1, group.context.shape[-1])
-            self.context = tf.constant(rows, tf.float32)
-        self.path = self.start = None
+            self.context = flat(group.context_by_frame)
         if layout.memory is not None:
             self.path = flat(layout.memory.read(group.position[:, :, : group.n_rigid]))
             self.start = tf.constant(offset[:, H - 1, group.n_rigid :], tf.float32)
@@ -268,15 +261,10 @@ class GroupTensors:
         def gather(values, index):
             return None if values is None else tf.gather(values, index)
 
-        constant = None if self._context_by_frame else gather(self.context, run)
-
-        def context(k):
-            return gather(self.context, frames[:, k]) if self._context_by_frame else constant
-
         return Windows(
-            tf.gather(self.offset, frames), tf.gather(self.velocity, frames),
-            gather(self.force, frames), context, gather(self.force_weight, run),
-            gather(self.path, frames), gather(self.start, run),
+            gather(self.offset, frames), gather(self.velocity, frames), gather(self.force, frames),
+            gather(self.context, frames), gather(self.force_weight, run), gather(self.path, frames),
+            gather(self.start, run),
         )  # fmt: skip
 
 

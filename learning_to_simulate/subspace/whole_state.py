@@ -6,8 +6,6 @@ the place of a value in the input says whose it is. Such a network fits one numb
 particles.
 """
 
-import functools
-
 import sonnet as snt
 import tensorflow as tf
 
@@ -21,28 +19,22 @@ REDUCTION = 4  # of the channels in the squeeze; Hu et al. take 16 of hundreds o
 class WholeStateSimulator(LearnedSimulator):
     """One frame of the simulation of B scenes by a network on the whole state.
 
-    Args:
-      make_network: called with (config, output size) it makes a module with
-        `network(history, state) -> [B, output size]`, where `history` is float32
-        [B, velocity_inputs, V D], the normalised velocities, oldest first, and `state` is float32
-        [B, F], everything else that is known of the coming frame.
-      others: as `LearnedSimulator`.
+    Its `network(history, state) -> [B, output size]` takes the normalised velocities, oldest first,
+    float32 [B, velocity_inputs, V D], and everything else that is known of the coming frame,
+    float32 [B, F].
     """
-
-    def __init__(self, make_network, *others, name='whole_state_simulator'):
-        self._make = make_network
-        self._n_rigid = self.network = None
-        super().__init__(*others, name=name)
 
     def _make_network(self):
         """Waits for `check_size`: the size of the network depends on R."""
+        self._n_rigid = self.network = None
 
     def check_size(self, n_rigid: int):
         """Fixes the network's size at the first call; ValueError for another R later on."""
         if self.network is None:
             self._n_rigid = n_rigid
             rows = self._rigid_rows() + self.scene.n_modes
-            self.network = self._make(self.config, rows * self.dim + self.force_size)
+            make = StateMLP if self.config.model == 'mlp' else MotionMixer
+            self.network = make(self.config, rows * self.dim + self.force_size)
         if n_rigid != self._n_rigid:
             raise ValueError(
                 f'model {self.config.model!r} was made for {self._n_rigid} rigid particles and '
@@ -156,14 +148,15 @@ class MotionMixer(snt.Module):
 
     After Bouazizi et al. 2022 (MotionMixer, IJCAI), whose poses of joints are here the velocities
     of modes and rigid particles. A block mixes the channels of every frame, then the frames of
-    every channel, each with a residual and an `Excitation` (with `of_frames` scSE instead of SE).
+    every channel, each with a residual and an `Excitation` (SE or, of frames too, scSE).
     What is known of the coming frame and has no history (positions, motion of the body, context) is
     one more frame. There are `latent_size` channels and `hidden_layers` per mixing.
     """
 
-    def __init__(self, config, output_size, of_frames, name='motion_mixer'):
+    def __init__(self, config, output_size, name='motion_mixer'):
         super().__init__(name=name)
         n_frame, size = config.velocity_inputs + 1, config.latent_size
+        of_frames = config.model == 'mixer_scse'
         self._size = size
         self._embed_history = snt.Linear(size, name='embed_history')
         self._embed_state = snt.Linear(size, name='embed_state')
@@ -181,15 +174,3 @@ class MotionMixer(snt.Module):
             x = block(x)
         x = self._norm(x)
         return self._output(tf.reshape(x, [x.shape[0], -1]))
-
-
-def _maker(make_network, **options):
-    return functools.partial(WholeStateSimulator, functools.partial(make_network, **options))
-
-
-# `TrainConfig.model` -> called with the arguments of `LearnedSimulator`, makes a simulator.
-SIMULATORS = {
-    'mlp': _maker(StateMLP),
-    'mixer_se': _maker(MotionMixer, of_frames=False),
-    'mixer_scse': _maker(MotionMixer, of_frames=True),
-}

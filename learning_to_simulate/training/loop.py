@@ -41,7 +41,7 @@ class Training:
       data: where the training data came from, for config.json.
       title: what is trained, one line for the terminal.
       write_files: called with the model folder it writes what else the model needs, and returns
-        name -> sha256; None where there is nothing.
+        name -> sha256.
       close_gates: called with the model folder when the edges have been learned; says what they
         are. None where none are learned.
     """
@@ -53,7 +53,7 @@ class Training:
     n_rigid: int
     data: dict
     title: str
-    write_files: Callable[[str], dict[str, str]] | None = None
+    write_files: Callable[[str], dict[str, str]]
     close_gates: Callable[[str], str] | None = None
 
 
@@ -70,7 +70,8 @@ def run(training: Training, model_path: str, options: TrainOptions) -> dict:
         start = state.restore()
         if start:
             print(f'resumed {model_path} at step {start}')
-        print(f'{training.title}, {training.trainer.config.num_steps} steps')
+        weights = sum(int(np.prod(v.shape)) for v in training.model.simulator.trainable_variables)
+        print(f'{training.title}, {weights} weights, {training.trainer.config.num_steps} steps')
         if training.close_gates and start > training.trainer.config.gate_steps:
             print(training.close_gates(model_path))
         return _train_steps(training, model_path, state, start, options.save_every, stop)
@@ -86,8 +87,8 @@ def open_model_path(path: str, training: Training) -> None:
         'data': training.data,
     }
     if not checkpoints.holds_model(path, fresh):
-        written = training.write_files(path) if training.write_files else None
-        checkpoints.save_config(path, model, training.n_rigid, training.data, written)
+        beside = training.write_files(path)
+        checkpoints.save_config(path, model, training.n_rigid, training.data, beside)
         return
     stored = checkpoints.read_config(path)
     if not training.close_gates:  # learned edges change on the way, by themselves

@@ -35,10 +35,6 @@ class TwoStageSchedule(tf.keras.optimizers.schedules.LearningRateSchedule):
         )
         return tf.where(step < first, single, unrolled)
 
-    def get_config(self):
-        """Keras asks for it; the config is stored beside the checkpoint instead."""
-        return {}
-
 
 class WeightAverages:
     """Moving averages of the trained variables, which are what is evaluated and saved; a decay of 0
@@ -71,6 +67,15 @@ class WeightAverages:
                 variable.assign(value)
 
 
+def check_window(groups, frames: int) -> None:
+    """Raises ValueError if a run of a list of `RunGroup` is shorter than a training window."""
+    shortest = min(group.position.shape[1] for group in groups)
+    if shortest < frames:
+        raise ValueError(
+            f'runs of {shortest} frames are shorter than the training window of {frames} frames'
+        )
+
+
 class GradientTraining:
     """What the trainers of all networks share, of a simulator whose variables exist, with its
     config; `clip_norm` is the largest norm of the gradient of all weights, or None, `gates` are
@@ -86,7 +91,18 @@ class GradientTraining:
         self.optimizer.build(variables)
         self.averaging = WeightAverages(variables, self.config.weight_average)
 
+    def apply(self, gradients, step) -> None:
+        """Changes the variables by the gradients of training step `step`, and their averages."""
+        variables = self.simulator.trainable_variables
+        self.optimizer.apply_gradients(zip(gradients, variables, strict=True))
+        self.averaging.update(step)
+
     def generator(self, stream: int, step: int) -> np.random.Generator:
         """Random numbers of a (seed, stream, step)."""
         counter = [0, 0, stream, step]
         return np.random.Generator(np.random.Philox(key=self.config.seed, counter=counter))
+
+
+def mean_of(rows) -> dict[str, float]:
+    """Mean of each value over dicts of scalars."""
+    return {k: float(np.mean([float(row[k]) for row in rows])) for k in rows[0]}

@@ -10,6 +10,7 @@ import pytest
 import learning_to_simulate as lts
 from learning_to_simulate import evaluation, presets, registry
 from learning_to_simulate.baselines import method as method_lib
+from learning_to_simulate.baselines import path_ridge
 from pca_tools import files
 from tests.learning_to_simulate import synthetic
 
@@ -74,7 +75,11 @@ def test_damaged_folders_are_refused(trained, tmp_path, part):
         method_lib.load(str(copy))
 
 
-def test_a_fit_to_the_valid_runs_says_that_they_judge_no_more(trained, tmp_path, capsys):
+def test_a_fit_to_the_valid_runs_says_that_they_judge_no_more(
+    trained, tmp_path, capsys, monkeypatch
+):
+    monkeypatch.setattr(path_ridge, 'GAMMAS', (0.1,))
+    monkeypatch.setattr(path_ridge, 'ALPHAS', (1e-6, 1e-3))
     config = presets.make_config('path_ridge_few_runs', max_samples=60)
     registry.train(trained[0], str(tmp_path / 'model'), config)
     printed = capsys.readouterr().out

@@ -67,14 +67,12 @@ def test_steady_driving_is_wong_and_reeces_integral(slip):
     assert motion.torque[-1] / RADIUS == pytest.approx(torque / RADIUS, abs=1.5)
 
 
-def test_more_slip_pulls_more_and_a_rim_that_slides_less():
-    pull = [
-        drive(wheel(), *straight(slip, n_frame=100), FIRM).drawbar[-1]
-        for slip in (0.0, 0.2, 0.4, 0.7)
-    ]
-    assert (np.diff(pull) > 0).all() and pull[0] < 0
-    smooth = drive(wheel(rim_friction=0.2), *straight(0.4, n_frame=100), FIRM)
-    assert smooth.drawbar[-1] < 0.5 * pull[2]
+def test_a_rim_that_slides_pulls_less():
+    rough, smooth = (
+        drive(wheel(rim_friction=friction), *straight(0.4, n_frame=100), FIRM).drawbar[-1]
+        for friction in (10.0, 0.2)
+    )
+    assert smooth < 0.5 * rough
 
 
 def test_soil_bears_in_proportion_to_gravity():

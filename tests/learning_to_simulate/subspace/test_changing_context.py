@@ -51,26 +51,16 @@ def test_groups_hold_it_by_frame_and_statistics_are_those_of_all_frames(tmp_path
     np.testing.assert_allclose(s.context_mean, both.mean(axis=0))
 
 
-def test_a_context_that_is_held_is_one_that_does_not_change(made):
-    """And not the one that does; that a rollout takes that of each frame: `test_rollout`."""
-    model, group = made
-    frozen = dataclasses.replace(group, context=group.context[:, 0])
-    repeated = dataclasses.replace(group, context=0 * group.context + group.context[:, :1])
-    held, same, changing = (models.rolled(model, g).position for g in (frozen, repeated, group))
-    np.testing.assert_array_equal(held, same)
-    assert np.abs(held - changing)[1, :12].max() > 100 * TOLERANCE
-
-
 def test_training_takes_it_of_the_frame_that_is_predicted(made):
     """A trainer's windows against the records."""
     model, group = made
     (tensors,) = Trainer(model, [group])._tensors
     seed = tf.constant([3, 4])
     run, start = (x.numpy() for x in tensors.picks(16, H + 3, seed))
-    context = tensors.windows(16, H + 3, seed).context
+    windows = tensors.windows(16, H + 3, seed)
     for k in (0, H, H + 2):
         expected = group.context[run, start + k].astype(np.float32)
-        np.testing.assert_array_equal(context(k), expected)
+        np.testing.assert_array_equal(windows.context_at(k), expected)
 
 
 def _step_through(stepper, group):

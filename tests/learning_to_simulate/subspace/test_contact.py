@@ -80,23 +80,6 @@ def test_there_is_nothing_to_find(group, scene):
     assert contact.fit([group], ground(), group.position[0, :, 3:].mean(axis=0), scene) is None
 
 
-def test_the_force_is_nothing_in_the_air_and_whole_in_the_soil(tmp_path):
-    """The live step of a model with a surface, against the same without one."""
-    model, (group,), _ = models.make(tmp_path / 'a', contact=True)
-    bare, _, _ = models.make(tmp_path / 'b')
-    n, run = group.n_rigid, int(np.ptp(group.position[:, :, 0, 1], axis=1).argmax())
-    forces = []
-    for one in (model, bare):
-        stepper = models.stepper(one, n)
-        stepper.reset(group.position[run, :H])
-        forces.append([stepper.step(points).force for points in group.position[run, H:, :n]])
-    gated, whole = np.array(forces)
-    assert (gated[0] == 0).all() and whole[0].any()
-    np.testing.assert_array_equal(gated[-1], whole[-1])
-    share = np.linalg.norm(gated, axis=1) / np.linalg.norm(whole, axis=1)
-    assert ((share > 0) & (share < 1)).any()
-
-
 def test_damaged_statistics_are_refused(tmp_path):
     model, _, _ = models.make(tmp_path, contact=True)
     s = model.simulator

@@ -10,7 +10,7 @@ import pytest
 import tensorflow as tf
 
 from learning_to_simulate import checkpoints, presets, registry
-from learning_to_simulate.subspace import edge_lists, subspace_model
+from learning_to_simulate.subspace import edge_gates, edge_lists, subspace_model
 from learning_to_simulate.subspace.edge_gates import (
     HIGH,
     LOW,
@@ -24,8 +24,8 @@ from pca_tools import files
 from tests.learning_to_simulate import models, synthetic
 
 SEED = tf.constant([0, 1])
-SHORT = {'latent_size': 8, 'hidden_layers': 1, 'num_steps': 24, 'unroll_steps': 0}
-GATED = SHORT | {'gate_weight': 0.5, 'gate_steps': 14}
+SHORT = {'latent_size': 8, 'hidden_layers': 1, 'num_steps': 8, 'unroll_steps': 0}
+GATED = SHORT | {'gate_weight': 0.5, 'gate_steps': 5}
 
 
 @pytest.fixture(scope='module')
@@ -51,7 +51,7 @@ def trained(data, tmp_path_factory):
         patch.setattr(loop, 'KEPT', 3)
         patch.setattr(EdgeGates, '__init__', with_five)
         with models.eagerly():
-            registry.train(data, path, presets.make_config('pcg', **GATED), save_every=10)
+            registry.train(data, path, presets.make_config('pcg', **GATED), save_every=3)
     return path
 
 
@@ -81,7 +81,7 @@ def test_shares_of_shut_and_open_gates_are_those_of_the_paper():
     assert float(price['loss']) == pytest.approx(1.0 + 3.0 * 0.5 * expected, rel=1e-5)
 
 
-@pytest.mark.parametrize('logit', [-1e4, -20.0, 0.0, 20.0, 1e4])
+@pytest.mark.parametrize('logit', [-1e4, -20.0, 0.0, 1e4])
 def test_gradient_is_finite_at_saturated_gates(logit):
     """And of the right sign where there is one: a price always pulls down, never up."""
     gates = EdgeGates(3)
@@ -150,7 +150,7 @@ def test_learned_edges_lie_beside_the_model_and_in_it(data, trained):
     np.testing.assert_array_equal(chosen.mode_mask, edges.mask)
 
 
-@pytest.mark.parametrize('step', [10, 20], ids=['gates open', 'edges fixed'])
+@pytest.mark.parametrize('step', [3, 6], ids=['gates open', 'edges fixed'])
 def test_training_resumes_to_the_same_weights_and_edges(data, trained, tmp_path, step):
     """From a checkpoint before and after the gates closed, as if killed right after it."""
     path = tmp_path / 'model'
@@ -160,7 +160,7 @@ def test_training_resumes_to_the_same_weights_and_edges(data, trained, tmp_path,
             (path / name).unlink()
     assert loop.stored_steps(str(path)) == [step]
     with models.eagerly():
-        registry.train(data, str(path), presets.make_config('pcg', **GATED), save_every=10)
+        registry.train(data, str(path), presets.make_config('pcg', **GATED), save_every=3)
     for name in ('edges.json', 'config.json'):
         assert (path / name).read_bytes() == pathlib.Path(trained, name).read_bytes()
     weights, straight = (files.read_npz(f'{p}/{checkpoints.WEIGHTS_FILE}') for p in (path, trained))
@@ -168,14 +168,14 @@ def test_training_resumes_to_the_same_weights_and_edges(data, trained, tmp_path,
         np.testing.assert_array_equal(weights[name], straight[name])
 
 
-@pytest.mark.xla
-def test_a_high_price_shuts_all_gates(data, tmp_path):
-    """What costs more than it helps goes; all gates are open at first."""
-    settings = SHORT | {'gate_weight': 100.0, 'gate_steps': 300, 'num_steps': 301}
+def test_a_high_price_shuts_all_gates(data, tmp_path, monkeypatch):
+    """What costs more than it helps goes, here at 20 times the rate; all are open at first."""
+    monkeypatch.setattr(edge_gates, 'LEARNING_RATE', 0.4)
+    settings = SHORT | {'gate_weight': 100.0, 'gate_steps': 24, 'num_steps': 25}
     model, groups, _ = models.make(tmp_path, overrides=settings)
     trainer = Trainer(model, groups)
     assert trainer.gates.edge_list(trainer.config, data).degenerate == 'saturated'
-    for step in range(300):
+    for step in range(24):
         trainer.step(step)
     left = trainer.gates.edge_list(trainer.config, data)
     assert left.degenerate == 'empty' and left.n_edge == 0

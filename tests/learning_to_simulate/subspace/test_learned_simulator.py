@@ -20,7 +20,6 @@ SECOND_ORDER = {
 DRIVEN = {'motion': 'driven', 'context': True}
 CASES = {
     'pcg': {},
-    'pcg, all velocities': {'overrides': {'velocity_inputs': 5}},
     'pcg, second order': {'overrides': SECOND_ORDER},
     'pcg, three steps': {'overrides': {'message_passing_steps': 3, 'latent_size': 20}},
     'pcg, contact': {'contact': True},
@@ -29,27 +28,20 @@ CASES = {
         'motion': 'driven',
         'overrides': SECOND_ORDER | {'message_passing_steps': 2},
     },
-    'pcg, driven, changing context': DRIVEN | {'context': 'changing'},
     'pcg, predicted': {'motion': 'predicted', 'rigid_counts': (6,)},
-    'pcg_thesis': {'preset': 'pcg_thesis'},
     'pcg_thesis, predicted': {'preset': 'pcg_thesis', 'motion': 'predicted', 'context': True},
     'pcg_thesis, driven': {'preset': 'pcg_thesis', 'rigid_motion': 'driven'} | DRIVEN,
     'fcg_original, two steps': {
         'preset': 'fcg_original',
         'overrides': {'message_passing_steps': 2},
     },
-    'fcg_original, predicted': {'preset': 'fcg_original', 'motion': 'predicted'},
     'mlp, contact': {'preset': 'mlp', 'contact': True},
-    'mlp, deeper': {'preset': 'mlp', 'overrides': {'velocity_inputs': 3, 'hidden_layers': 3}}
-    | DRIVEN,
-} | {
-    f'{preset}, {name}': {'preset': preset, 'shaken': 0.3} | data
-    for preset in ('mlp', 'mixer_se', 'mixer_scse')
-    for name, data in (
-        ('prescribed', {}),
-        ('driven', DRIVEN),
-        ('predicted', {'motion': 'predicted', 'context': True}),
-    )
+    'mlp, deeper, driven': DRIVEN
+    | {'preset': 'mlp', 'overrides': {'velocity_inputs': 3, 'hidden_layers': 3}},
+    'mlp, predicted': {'preset': 'mlp', 'motion': 'predicted', 'context': True, 'shaken': 0.3},
+    'mixer_se': {'preset': 'mixer_se', 'shaken': 0.3},
+    'mixer_scse, driven': {'preset': 'mixer_scse', 'shaken': 0.3} | DRIVEN,
+    'mixer_scse, predicted': {'preset': 'mixer_scse', 'motion': 'predicted', 'shaken': 0.3},
 }
 
 

@@ -39,20 +39,6 @@ def test_frame_by_frame_and_alone_equal_the_whole():
         np.testing.assert_array_equal(MEMORY.values(memory)[0], whole[1, t])
 
 
-def test_the_past_and_nothing_of_the_future_is_seen():
-    x, y = _paths()
-    other = x.copy()
-    other[:, 20:] += 0.01
-    whole, changed = MEMORY.read(_bodies(x, y)), MEMORY.read(_bodies(other, y))
-    np.testing.assert_array_equal(whole[:, :20], changed[:, :20])
-    assert (np.abs(whole - changed)[:, 20:].max(axis=(1, 2)) > 0.1).all()
-    # Two paths that end alike but were elsewhere before differ at the end.
-    lifted = y.copy()
-    lifted[:, 10:20] += 0.1
-    apart = np.abs(MEMORY.read(_bodies(x, lifted)) - whole)[:, -1, PLACES]
-    assert (apart.max(axis=1) > 0.1).all()
-
-
 def test_a_straight_cut_has_the_depth_and_the_area_of_a_slot():
     """Edge of radius 14 mm, its middle 20 mm below the surface over 300 mm of travel."""
     depth, start, end = 0.02, 0.7, 0.4

@@ -23,7 +23,6 @@ CASES = {
     'single step': {'num_steps': 5},
     'single step, second order': {'num_steps': 5} | SECOND_ORDER,
     'unrolled': {'num_steps': 3},
-    'unrolled, second order': {'num_steps': 3} | SECOND_ORDER,
 }
 
 
