@@ -286,6 +286,13 @@ def test_particles(ground):
     np.testing.assert_allclose(c.particles(), tf.particles(), atol=2e-6)
 
 
+def bytes_of(stepper):
+    """The saved state of an instance in C."""
+    saved = np.empty(stepper._engine.call('state_size'), np.uint8)
+    stepper._engine.call('save', saved, saved.nbytes)
+    return saved
+
+
 def test_a_proposal_is_the_next_frame_and_changes_nothing():
     """Also where the next step renews the passage, and far from where the tool is."""
     pair = both(hills())
@@ -298,6 +305,10 @@ def test_a_proposal_is_the_next_frame_and_changes_nothing():
         if t == 40:
             more += [(other, 1.0) for other in way[40:60:3]]
             more.append((poses([[0.4, 0.4, 0.0]], yaw=0.2)[0], 0.5))
+        if is_due:  # a jump does not renew it
+            saved, far = bytes_of(pair[0]), pose - [1.2, 0, 0, 0, 0, 0, 0]
+            assert 'within one frame' in refused(pair, lambda one, far=far: one.step(far, 1.0))
+            np.testing.assert_array_equal(bytes_of(pair[0]), saved)
         for there, dt in more:
             seen = [one.propose(there, dt) for one in pair]
             assert_frame(*seen)
@@ -361,17 +372,15 @@ def test_bytes_of_an_instance_go_on_to_the_same_bits():
         way = poses(path(60, 0.9))
         other = SoilStepper(c.field, ground.clone(), BLADE, engine='c')
         one, two = c._engine, other._engine
-        saved = np.empty(one.call('state_size'), np.uint8)
-        one.call('save', saved, saved.nbytes)
+        saved = bytes_of(c)
         c.start(way[0])
         two.call('restore', saved, saved.nbytes)  # of one that stands nowhere
         with pytest.raises(ValueError):
             two.call('newest', np.empty(60))
         for pose in way[1:30]:
             c.step(pose, DT)
-        small, saved = saved, np.empty(one.call('state_size'), np.uint8)
+        small, saved = saved, bytes_of(c)
         assert saved.nbytes > small.nbytes + 8000
-        one.call('save', saved, saved.nbytes)
         heights = ground.seen.copy()
         frames = [c.step(pose, DT) for pose in way[30:]]
         for bad in (small[:50], saved[:-1], np.where(np.arange(saved.size) == 3000, 1, saved)):

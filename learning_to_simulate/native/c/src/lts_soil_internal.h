@@ -158,6 +158,9 @@ double lts_soil_whole_grade(const lts_place *place, double slope);
 /* `Passage._ground`: whether its surface is even and slopes by more than the least; the place on that, or its own. */
 int lts_soil_lay(const lts_soil *soil, const lts_passage *p, double least, lts_place *out);
 int lts_soil_begin(lts_soil *soil, lts_passage *p, const lts_pose *pose, int set_down, const lts_place *place);
+/* The coming pose as it is seen, and how far it is; LTS_ERROR_JUMP for one that is too far along. */
+int lts_soil_reach(const lts_soil *soil, const lts_passage *p, const lts_pose *pose, double coming[3],
+                   double change[3]);
 int lts_soil_go(lts_soil *soil, lts_passage *p, const lts_pose *pose, double dt);
 void lts_soil_copy(const lts_soil *soil, lts_passage *to, const lts_passage *from);
 /* Whether its tool has cut and is lifted since. */

@@ -228,14 +228,19 @@ static int follow(lts_soil *soil, lts_passage *p, double to) {
   return LTS_OK;
 }
 
-int lts_soil_go(lts_soil *soil, lts_passage *p, const lts_pose *pose, double dt) {
-  const lts_soil_model *m = soil->model;
+int lts_soil_reach(const lts_soil *soil, const lts_passage *p, const lts_pose *pose, double coming[3],
+                   double change[3]) {
   const double turn = 2.0 * LTS_PI;
-  double coming[3], change[3];
   seen_pose(soil, &p->s.place, pose, coming);
   for (int i = 0; i < 3; ++i) change[i] = coming[i] - p->s.pose[i];
   change[2] -= turn * floor((change[2] + turn / 2.0) / turn);
-  if (!(fabs(change[0]) <= m->max_step)) return LTS_ERROR_JUMP;
+  return fabs(change[0]) <= soil->model->max_step ? LTS_OK : LTS_ERROR_JUMP;
+}
+
+int lts_soil_go(lts_soil *soil, lts_passage *p, const lts_pose *pose, double dt) {
+  const lts_soil_model *m = soil->model;
+  double coming[3], change[3];
+  LTS_TRY(lts_soil_reach(soil, p, pose, coming, change));
   const int is_lifted = lifts(soil, p, coming);
   if (is_lifted && !soil->writes) return LTS_OK; /* particles stay as they are */
   if (is_lifted && !p->s.lifted) lts_soil_write(soil); /* as the tool leaves it */

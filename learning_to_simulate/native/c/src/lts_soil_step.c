@@ -360,7 +360,9 @@ int lts_soil_step(lts_soil *soil, const lts_pose *pose, double dt, lts_soil_resu
     soil->now = !soil->now;
   } else {
     if (lts_soil_is_due(soil, &soil->passage[soil->now])) {
+      double coming[3], change[3];
       LTS_TRY(renew(soil, &p));
+      LTS_TRY(lts_soil_reach(soil, p, &unit, coming, change)); /* before anything changes */
       soil->now = !soil->now;
       lts_soil_settle(soil, soil->gone, p->s.n_gone, p);
     }
