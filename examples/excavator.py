@@ -23,7 +23,7 @@ sys.path.insert(0, str(FOLDER))
 from film import Film  # noqa: E402
 
 PIVOT, BOOM, STICK, BUCKET = 0.75, 1.35, 0.95, 0.3  # m: height of the boom's pin, lengths
-# s, and where the edge is then: away from the pin of the boom, height, lean (rad, m), swing (rad).
+# Time (s), and where the edge is then: distance from the pin of the boom, height (m), lean (rad).
 CUT = (
     (0.0, 2.15, 0.20, -0.45), (1.2, 2.15, 0.03, -0.45), (2.9, 1.95, -0.042, -0.4),
     (5.7, 1.55, -0.042, -0.25), (7.4, 1.35, 0.05, -0.15), (8.4, 1.35, 0.45, 0.40),

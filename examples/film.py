@@ -44,7 +44,7 @@ class Film:
                 [sys.executable, __file__, folder, os.path.abspath(self._path)],
                 env={'MUJOCO_GL': 'egl'} | os.environ, capture_output=True, text=True,
             )  # fmt: skip
-        if not os.path.exists(self._path):
+        if done.returncode:
             print(f'no film: {done.stderr.strip().splitlines()[-1:]}', file=sys.stderr)
 
 

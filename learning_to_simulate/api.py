@@ -98,7 +98,7 @@ class TrainedModel:
     """A trained model from its folder `path`; a `TerrainModel` where it is a soil field.
 
     Attributes:
-      model: `subspace_model.Model`, or what another method has.
+      model: `subspace_model.Model`, of a soil field `SoilField`; else as the method's `load`.
 
     Raises:
       FileNotFoundError, ValueError: no model there, or a damaged one.
@@ -170,7 +170,7 @@ class TrainedModel:
         step = self._method.load_code().Step
         return engines.stepper(self.model, starts, space, engine, step, outside=outside)
 
-    def rollout(self, path, velocity=None, case: int | None = None, context=None):
+    def rollout(self, path, velocity=None, case: int | str | None = None, context=None):
         """Rolls out a whole path, or a recorded run.
 
         Args:
@@ -185,9 +185,12 @@ class TrainedModel:
           `paths.SoilRollout`.
 
         Raises:
-          ValueError: not a path; a run of a dataset that the model does not fit.
+          ValueError: not a path; a run of a dataset that the model does not fit, or velocity,
+            case or context beside it.
         """
         if isinstance(path, Run):
+            if not (velocity is case is context is None):
+                raise ValueError('a recorded run has its own velocity, case and context')
             return self._of_run(path)
         from learning_to_simulate.live import paths
 
@@ -237,6 +240,8 @@ class TrainedModel:
           FileNotFoundError, ValueError: no such split, or a dataset that the model does not fit.
         """
         splits = split if isinstance(split, (list, tuple)) else [split]
+        if len(splits) != 1 and not self._method.on_terrain:
+            raise ValueError(f'{len(splits)} splits: only a soil field takes more than one')
         opened = self._opened(*splits)
         return Evaluation(opened.evaluator.run(opened.groups, splits[0].name, progress)[1])
 

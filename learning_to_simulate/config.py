@@ -115,7 +115,7 @@ class TrainConfig(Training):
         scale every node class and pair of classes by its own statistics, see positions,
         accelerations, the given motion of the coming frame and an embedding of each mode;
         they take the mean of messages, weigh an error by its share of the motion, count the force
-        of a run in units of its own, show none clear of the soil, and clip gradients.
+        of a run in units of its own, give none to a tool clear of the soil, and clip gradients.
       velocity_inputs: number of the H - 1 last velocities that are inputs.
       rate_scaled: velocities in and displacements out are counted per displacement of the body in
         the coming frame (soil at these speeds is nearly rate-independent); needs a known motion and

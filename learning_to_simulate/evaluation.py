@@ -1,4 +1,5 @@
-"""Rollouts of a model over a split: result files and `metrics.json`.
+"""Rollouts of a model over a split: result files and `metrics.json` (soil fields:
+`soil_field.evaluation`).
 
 Each run is rolled out on its own (batch 1), as a user does. A loop is compiled once per number of
 rigid particles and warmed up before it is timed.
@@ -53,8 +54,8 @@ def summarise(results, model, metadata: dict, split: str) -> dict:
     """The metrics of rolled-out runs of a split (record, one-run `RunGroup`, its `Rollout`): per
     run, their mean, and those of the trivial predictors.
 
-    Of the model its scene and statistics are read. `metadata` is that of the dataset; {} where the
-    nodes of the groups are the solver's own particles. `mean` and `runs` are method -> errors:
+    Only `scene` and `statistics` of the model are used. `metadata` is that of the dataset; {} where
+    the nodes of the groups are the solver's own particles. `mean` and `runs` are method -> errors:
     `soil_mm` (`soil_truth`), `soil_mse` within the subspace, `rigid_mse`, `height_mm` of a driven
     body, those of `metrics.load_errors`; of the model also its status, edges and times.
     """

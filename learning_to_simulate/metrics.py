@@ -1,4 +1,4 @@
-"""Errors of modes, bodies and loads, and the trivial predictors. That of soil: `soil_truth`."""
+"""Errors of modes, bodies and loads, and the trivial predictors. See also `soil_truth`."""
 
 import numpy as np
 

@@ -41,11 +41,11 @@ _WRENCH = np.append(_TO, 3 + _TO), np.tile(_TO_SIGN, 2)  # force and torque, to 
 _POSE = np.r_[_FROM, 3, 4 + _FROM], np.r_[_FROM_SIGN, 1.0, _FROM_SIGN]  # place and turn, from it
 # Of (1): tolerance and reach of differences, m (a turn counts as 0.1 m times its angle); rounds.
 TOLERANCE, REACH, ROUNDS = 2e-7, 1e-4, 12
-EAGER = 3  # rounds after which a hundred times the tolerance will do
+EAGER = 3  # rounds with the full tolerance; later ones accept a hundred times that
 PRESSED = DT / 4  # s for which what presses on a tool is taken to stay
 ARM = np.array([1.0, 1.0, 0.1])
 _CROSS = np.cross(np.eye(3)[:, None], np.eye(3)).transpose(2, 0, 1)  # a x b, in a fifth of the time
-# m between a tool and all soil about it, from where it may move as fast as it likes.
+# Clearance to all soil about a tool above which no speed is too fast, m.
 CLEAR = 0.1
 # m of height that a height field can show over and under the terrain as it was.
 ROOM = 1.0
@@ -181,7 +181,7 @@ class MujocoSoil:
         for name, stepper, pose in zip(self._names, self._steppers, self._poses(), strict=True):
             with _naming(name):
                 found[name] = stepper.start(pose)
-        self.frames = found
+        self.frames, self._worst = found, dict.fromkeys(found, OK)
         self._loads = np.stack([_load(frame) for frame in found.values()])
         return found
 
@@ -231,7 +231,10 @@ class MujocoSoil:
             zip(self._names, self._steppers, poses, airy, strict=True)
         ):
             rate = (pose[1] - stepper.frame.pose[1]) / dt
+            if flies:  # a new start, which forgets what was judged before
+                self._worst[name] = worse(self._worst[name], stepper.frame.judgement)
             frame = stepper.start(pose) if flies else stepper.step(pose, dt)
+            frame = frame._replace(judgement=worse(self._worst[name], frame.judgement))
             self._damping[j].go_on(frame.force[1], rate, dt)
             if damped[j]:
                 frame = frame._replace(force=frame.force + damped[j] * UP)

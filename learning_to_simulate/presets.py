@@ -1,4 +1,5 @@
-"""The presets: published FCG, published PCG, this project's PCG, and the other networks' own.
+"""The presets: the published graph networks, fully connected (FCG) and partially (PCG), this
+project's PCG, and the other networks' own.
 
 A preset is a frozen config; flags override single fields.
 """

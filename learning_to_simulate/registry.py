@@ -26,7 +26,7 @@ from learning_to_simulate import checkpoints, command
 
 @dataclasses.dataclass(frozen=True)
 class Method:
-    """How a method is reached, and what of the shared settings it has a use for."""
+    """How a method is reached, and which shared options apply to it."""
 
     about: str  # one line for `--help`
     code: str  # module with `train`, `open_model` and `load`

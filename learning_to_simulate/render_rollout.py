@@ -1,4 +1,5 @@
-"""Draws a rollout: truth and prediction side by side, with the force and the errors over time.
+"""Draws a rollout: truth and prediction side by side, with the force and the errors over time; of
+a soil field the terrain.
 
 Examples:
     # a strip of moments, a GIF and a movie
@@ -158,8 +159,8 @@ def _is_on_terrain(path):
 
 def _render_terrain(values):
     path = values.rollout_path
-    if values.beside or values.plane or values.color_by != 'speed':
-        raise ValueError(f'{path}: --beside, --plane and --color_by are for particles, not terrain')
+    if given := [n for n in ('beside', 'plane', 'color_by', 'step_stride') if values[n].present]:
+        raise ValueError(f'{path}: --{given[0]} is for particles, not for a terrain')
     arrays, name = files.read_npz(path), os.path.splitext(os.path.basename(path))[0]
     os.makedirs(values.output_path, exist_ok=True)
     for kind in values.format:

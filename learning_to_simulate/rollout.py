@@ -1,4 +1,5 @@
-"""Whole rollouts in one compiled loop."""
+"""Whole rollouts of networks in the subspace, in one compiled loop (soil fields:
+`soil_field.rollout`)."""
 
 import time
 from typing import NamedTuple

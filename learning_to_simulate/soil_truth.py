@@ -1,4 +1,5 @@
-"""What the soil of a recorded run did, and how far a prediction is from it: the one error of soil.
+"""What the soil of a recorded run did, and how far a prediction of networks in the subspace is
+from it.
 
 The error is the root mean square over frames, particles and axes, in full space, over the solver's
 own particles. Where a dataset holds a sample of these (`pca_tools.particles`), it is the truth.

@@ -1,5 +1,5 @@
-"""What a circle has swept: a step of it, for all, and the state of a bounded bed, for baselines and
-networks in the subspace.
+"""How deep a circle on a path has cut: the geometry of one step, shared with `soil_field.sweep`,
+and bins that stay where they are, for baselines and networks in the subspace.
 
 A tool is reduced to a circle that moves in the plane of travel. Bins along the way remember how
 deep it has been: (1) to (6) of docs/soil_field.md, with all bins in the area (4). A soil field has
@@ -32,7 +32,7 @@ class SweptGrid:
       radius: of the tool's underside, m; a blade's edge has half its thickness.
       spacing: of the bins, m.
       behind, ahead: how far the bins reach behind and ahead of the tool's first position, m.
-      forget: distance since the last passage is cut here, m; soil that was never passed has it.
+      forget: distance since the last passage is at most this, m; soil that was never passed has it.
     """
 
     radius: float

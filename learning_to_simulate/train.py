@@ -1,4 +1,4 @@
-"""Trains and evaluates a simulator of soil modes.
+"""Trains and evaluates models of all methods.
 
 Examples:
   # train the default model on a dataset folder, resume by giving the same command again

@@ -140,7 +140,8 @@ def wheel_edges() -> tuple:
 def read_tool(path: str) -> dict:
     """Reads a tool's JSON file and returns its description, complete and checked.
 
-    An outline, lengths in m, the origin is the reference point, driving goes to -x::
+    An outline of 2 to 64 points, lengths in m (1e-4 to 2), friction 0 to 2; the origin is the
+    reference point, driving goes to -x::
 
         {"name": "bucket", "outline": [[x, y], ...], "edge_radius": 0.004, "width": 0.3,
          "side_plates": {"thickness": 0.01}, "friction": 0.3}
@@ -328,8 +329,8 @@ def sample_points(body: Body, pose) -> np.ndarray:
 
 
 def lowest(body: Body, theta: np.ndarray) -> np.ndarray:
-    """Returns how far the lowest point of a body lies below the reference point [T], m, upwards
-    positive, at angles theta [T] (rad)."""
+    """Returns the height [T] of a body's lowest point over its reference point, m (negative below
+    it), at angles theta [T] (rad)."""
     theta = np.asarray(theta, np.float64)
     corners = np.concatenate([body.outline, body.plates])
     edges = [body.radius + body.grouser_height] * len(body.outline) + [0.0] * len(body.plates)

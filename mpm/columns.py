@@ -37,7 +37,7 @@ CHUNK, ELASTIC = 64, 7
 # Status codes of `solver.advance`.
 OK, LEFT_GRID, TURNED_INSIDE_OUT = 0, 1, 2
 
-# Fused multiply-adds only: leave to reorder sums made the gather a third slower and hides NaN.
+# Fused multiply-adds only: permission to reorder sums made the gather a third slower and hides NaN.
 JIT = dict(cache=True, fastmath={'contract'}, error_model='numpy')
 # Node numbers are unsigned: Numba then leaves out the test for an index counted from the end.
 index = numba.uintp
@@ -45,5 +45,5 @@ index = numba.uintp
 
 @numba.njit(inline='always', **JIT)
 def row(c, number):
-    """Where row `number` of a chunk holds what row 0 holds at c; a way the compiler knows."""
+    """The place in row `number` of a chunk that is at c in row 0; the compiler knows the offset."""
     return c + index(number * CHUNK)

@@ -45,8 +45,8 @@ def define_run_flags() -> None:
     kinds = '; '.join(f'{name}: {",".join(kinds)}' for name, kinds in catalogue.KINDS.items())
     flags.DEFINE_enum('scene', None, sorted(scenes.SCENES), 'Which scene.', required=True)
     flags.DEFINE_list(
-        'cases', [], 'Numbers of cases of the grid and ids of seeds: 22,lift_0003; mini: 40 cases '
-        'spread over the grid; full: all of them.',
+        'cases', [], 'Numbers of cases of the grid and ids of seeds: 22,lift_0003; full: all '
+        'cases; mini, or none of these flags: 40 cases spread over the grid.',
     )  # fmt: skip
     flags.DEFINE_string(
         'operator_seeds', None,

@@ -6,11 +6,10 @@ Examples:
     lts new-tool bucket.json --output_path=/shared/bucket --cluster=slurm:48
 
 The outline is that of `mpm/bodies.py`. Runs of the solver with that tool (`mpm.generate`) become a
-dataset (`pca_tools.convert`); a soil field is trained on it, from the weights of a shipped one, of
-which each network stays that is no better on validation runs. Both are judged on runs that were
-kept back. The new one is taken where its errors are smaller there, of soil and force together (a
-third less of one outweighs a third more of the other), else the shipped one; that is written in
-`--formats`.
+dataset (`pca_tools.convert`); a soil field is trained on it, from the weights of a shipped one. A
+network that does not improve on validation runs keeps its shipped weights. Both are judged on runs
+that were kept back. The new one is taken where the product of its errors of soil and force is
+smaller there, else the shipped one; that is written in `--formats`.
 
     raw/  data/  model/  judged/  judged_as_it_is/  c/  fmu/  page.html  new_tool.json
 

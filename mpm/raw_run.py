@@ -2,7 +2,7 @@
 
 Files appear whole or not at all: they are written under a temporary name in the same folder
 and renamed. The manifest is rewritten after every run; a run that it does not list, or whose file
-has other bytes than it says, does not count as done.
+has another size than it says, does not count as done.
 """
 
 import dataclasses

@@ -85,7 +85,7 @@ def run_case(
     on_frame: Callable[[int], None] = lambda frame: None,
     tool: dict | None = None,
 ) -> RawRun:
-    """Simulates one run: T = 321 frames at 60 Hz (more for a longer motion), the first before
+    """Simulates one run: T = 321 frames at 60 Hz, or as many as its motion says, the first before
     driving.
 
     `case` and `tool` are those of `catalogue.motion_of`, `packed` the settled particles and their

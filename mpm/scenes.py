@@ -55,9 +55,9 @@ class Scene:
     levels: dict  # parameter name -> its values, outermost loop first
     context_names: tuple  # parameters that the dataset gives to the network
     # 40 cases spread over the grid, each level equally often (to one); the published ones are
-    # among them, the demonstration's is not
+    # among them, `demo_case` is not
     mini: tuple
-    demo_case: int  # reserved for the demonstration
+    demo_case: int  # of usual values
     bin: Bin = field(repr=False, default=None)  # the soil
     # Name -> bin of kinds of runs that do not fit into that one
     other_bins: dict = field(repr=False, default_factory=dict)
@@ -74,7 +74,7 @@ class Scene:
         return {name: values[i] for (name, values), i in zip(self.levels.items(), index)}
 
 
-WHEEL_BIN_WIDTH = 23 * 0.4 / 48  # m; the published 0.19 in whole cells of version 1
+WHEEL_BIN_WIDTH = 23 * 0.4 / 48  # m; the published 0.19 in whole cells of 0.4 / 48 m
 PER_CELL = 2.0  # particles; fewer integrate the stress too coarsely and pack moved soil
 
 
@@ -90,7 +90,8 @@ def sampled(
 
 
 def _blade_bin(length: float, width: float, keep_every: int = 31) -> Bin:
-    # It has no factor in common with the sides of the lattices: what is written lies in all planes.
+    # `keep_every` has no factor in common with the sides of the lattices: what is written lies in
+    # all planes.
     high = ((0.0, length + 0.4), (0.0, 0.8), (0.0, width + 0.2))
     return sampled((length, 0.15, width), 0.8 / 120, 0.02, keep_every, 0.5, high)
 

@@ -90,7 +90,7 @@ class Simulation:
         """Puts the body in its first pose; one that has a `rest` sinks in until it rests.
 
         `particles` is the settled packing, float64 [N, COLUMNS]; gravity (m/s2) leans by slope_deg,
-        what presses a tool does not. ValueError: a step that is not stable, or as `frame`.
+        loads on a tool do not. ValueError: a step that is not stable, or as `frame`.
         """
         self.box, self.soil, self.drive, self.gravity = box, soil, drive, gravity
         self._slope = math.radians(slope_deg)

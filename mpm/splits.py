@@ -70,7 +70,7 @@ def split_of(scene: scenes.Scene, case: int | str) -> str | None:
     every = count // TEST
     if seed % every == 1 and seed // every < TEST:
         return 'test'
-    # Beside those of test: 3 of every 2 n, or 2 of every 4 where every second run is test.
+    # Seed 3 of every 2 n, or 2 of every 4 where every second run (n = 2) is test.
     if seed % (2 * every) == (2 if every == 2 else 3) and seed // (2 * every) < VALID:
         return 'valid'
     return 'train'

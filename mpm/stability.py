@@ -21,7 +21,8 @@ def wave_speed(soil: Soil) -> float:
 
 
 def damping_time(soil: Soil, dx: float) -> float:
-    """Returns the time (s) by which stress leads itself to damp elastic waves: `DAMPING` dx / c.
+    """Returns T (s) of the stress sigma + T d sigma / dt that damps elastic waves: `DAMPING` dx
+    / c.
 
     Explicit codes call this linear bulk viscosity and use the same 0.06 by default (its origin:
     Landshoff 1955, LA-1930). Here it acts on the rate of the relaxed stress, shear included: waves

@@ -7,7 +7,7 @@ Examples:
 
 Each row is written to JSON when it is made; the same command goes on with those that are absent.
 Runs that a row needs are read from RAW_PATH/excavation and RAW_PATH/wheel; those that are not
-there are simulated into it (about two minutes each). All rows take an hour and a half of one core.
+there are simulated into it (about two minutes each). All rows take 1.3 hours of one core.
 The exit code is 1 if a check fails.
 """
 

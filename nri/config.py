@@ -26,7 +26,7 @@ def log_prior(n_types: int, no_edge_prior: float | None) -> np.ndarray:
 
 @dataclasses.dataclass(frozen=True)
 class NriConfig(Settings):
-    """Every setting of a model and its training. Defaults: Kipf et al. 2018 and the thesis.
+    """Every setting of a model and its training. Defaults: Kipf et al. 2018 and Usmani 2023.
     ValueError, with the range: a value outside of it."""
 
     skip_first: bool = True  # whether edge type 0 means that nothing is exchanged

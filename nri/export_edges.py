@@ -199,9 +199,9 @@ def main(v):
         allow_degenerate=v.allow_degenerate,
     )  # fmt: skip
     names = export(edges, v.data_path, v.output_path)
-    r = edges.report
+    r, n_node = edges.report, len(edges.node_names)
     print(
-        f'{edges.n_edge} of {edges.mask.size} edges between {len(edges.node_names)} nodes; '
+        f'{edges.n_edge} of {n_node * (n_node - 1)} edges between {n_node} nodes; '
         f'{r["runs"]} runs: probabilities differ by {r["std_over_runs"]:.3f} (std), '
         f'{r["run_agreement"]:.0%} agree with the mean, entropy {r["entropy_bits"]:.2f} bits'
     )

@@ -178,8 +178,8 @@ def simulate_split(system, n_run, n_steps, sample_every, seed, split):
 
 def write_dataset(system, name, counts, n_steps, sample_every, seed, output_path):
     """Simulates splits (`counts`: split -> S) of a system of `SYSTEMS` and writes them with
-    `simulation.json`, which holds every setting, into a folder, made if missing. ValueError: a
-    setting that makes no frame, or a folder that holds such files already."""
+    `simulation_<system><V>.json`, which holds every setting, into a folder, made if missing.
+    ValueError: a setting that makes no frame, or a folder that holds such files already."""
     if not (sample_every >= 1 and n_steps >= 3 * sample_every):
         raise ValueError(
             f'length {n_steps} with sample_freq {sample_every} gives fewer than two frames'

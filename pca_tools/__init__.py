@@ -1,5 +1,4 @@
-"""Subspace (PCA), rigid fit, and the datasets of the project: reading, writing, checking,
-conversion.
+"""Datasets of the project: reading, writing, checking, conversion; the PCA is `subspace.py`.
 
 Nothing is imported here, so that `pca_tools.subspace`, `pca_tools.rigid_fit` and `pca_tools.files`
 stay free of TensorFlow, which only `pca_tools.tfrecord_io` touches, and only when a record is read

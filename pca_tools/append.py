@@ -8,7 +8,7 @@ The larger dataset takes the place of the smaller one at the very end, as a whol
 smaller one is locked, so that of two commands at a time the second is refused.
 
 Examples:
-    lts append --raw_path=raw/excavation --data_path=datasets/Excavation
+    lts append --raw_path=raw/excavation --data_path=datasets/excavation
 """
 
 from collections.abc import Sequence

@@ -7,7 +7,7 @@ Runs whose parameters name a split go there. All files are made in a folder besi
 takes its name at the very end: it is there whole or not at all.
 
 Examples:
-    lts convert --raw_path=raw/excavation --output_path=datasets/Excavation
+    lts convert --raw_path=raw/excavation --output_path=datasets/excavation
 
     # 24 modes of hundreds of runs: the subspace from every fourth frame
     lts convert --raw_path=raw/driving --output_path=datasets/Driving \\
@@ -23,7 +23,7 @@ Examples:
     # new runs in the subspace of the dataset that a model was trained on; in the test split where
     # they name none
     lts convert --raw_path=raw/new --output_path=datasets/New \\
-        --like=datasets/Excavation
+        --like=datasets/excavation
 
 `pca_tools.append` adds runs to a dataset that is there.
 """
@@ -47,7 +47,7 @@ DEFAULT_SPLIT = (0.8, 0.1, 0.1)
 _SCENE_KEYS = (
     'name', 'rigid_motion', 'rigid_edges', 'context_names', 'force', 'up_axis', 'bodies', 'dim',
 )  # fmt: skip
-# Flags that say how a subspace is made and its runs dealt: with --like both are there.
+# Flags that say how a subspace is made and runs are dealt to splits, both of which --like fixes.
 _FLAGS_WITHOUT_LIKE = (
     'num_modes', 'centering', 'split', 'seed', 'hold_out', 'frame_stride',
 )  # fmt: skip

@@ -92,7 +92,7 @@ def split_path(folder: str, split: str) -> str:
 
 def read_split(folder: str, split: str) -> list[Trajectory]:
     """Returns all runs of a split, in file order, each checked against metadata and manifest. The
-    folder may be ours or the authors' (which have neither manifest nor scene).
+    folder may be ours, or one of Subspace-Graph-Physics (without manifest and scene).
 
     FileNotFoundError: the folder, its metadata or the split is missing. ValueError, with file,
     record, frame and remedy: a file is damaged, foreign, a git-lfs pointer or not the one in the

@@ -1,4 +1,4 @@
-"""What a dataset holds of its runs, in memory: made of raw runs, read from a folder, written.
+"""A whole dataset in memory: made of raw runs, or read from a folder; written.
 
 The files of a dataset are those of `pca_tools.convert`; it, `append` and `subset` only choose which
 runs these are.

@@ -214,7 +214,7 @@ def check_manifest(
     folder: str, names: Iterable[str] | None = None
 ) -> dict[str, dict[str, Any]] | None:
     """Holds the files of a folder (those of `names`, None: all that are listed) against its
-    manifest; returns file name -> entry, None if the folder has no manifest (the authors').
+    manifest; returns file name -> entry, None without a manifest (as in Subspace-Graph-Physics).
     ValueError: a file is missing, unlisted, or differs in bytes or sha256."""
     path = os.path.join(folder, MANIFEST_NAME)
     if not os.path.exists(path):

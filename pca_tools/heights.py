@@ -63,8 +63,8 @@ def reach(heights: np.ndarray | None, grid: Grid | None) -> float:
 
 class Heights(PackedRuns):
     """The maps of a split, unpacked one run at a time: `maps[i]` is float64 [F, nx, nz], m, in
-    frame `f * frame_stride` of record i. Steps count from 0, not from a first map: so they hang on
-    no other run."""
+    frame `f * frame_stride` of record i. Steps count from 0, not from a first map, so they do
+    not depend on another run."""
 
     NAME, TITLE, KINDS = 'heights', 'height map', {'corner': ('f', 1), 'cell': ('f', 1)}
     RESOLUTION = 1e-4

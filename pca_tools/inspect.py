@@ -1,10 +1,10 @@
 """Says what is in a dataset folder and checks it.
 
 An ERROR means that training or evaluating on the folder would be wrong, and makes the exit code 1;
-a WARN names a defect that readers live with (all known defects of the authors' folders are such).
+a WARN names a defect that readers live with, as all known ones of Subspace-Graph-Physics.
 
 Examples:
-    lts inspect datasets/Excavation
+    lts inspect datasets/excavation
     lts inspect /data/Subspace-Graph-Physics/Excavation_PCA
 """
 

@@ -128,12 +128,10 @@ class PackedRuns(Sequence):
     frame_stride: int  # frames of the record from one kept frame to the next
     resolution: float  # metres
 
-    # Of the files, of one of them in messages, metres of a step of ours, and the arrays that it has
-    # beside the common ones.
-    NAME: ClassVar[str]
-    TITLE: ClassVar[str]
-    RESOLUTION: ClassVar[float]
-    KINDS: ClassVar[Mapping[str, tuple[str, int]]]
+    NAME: ClassVar[str]  # of the files
+    TITLE: ClassVar[str]  # of what they hold, in messages
+    RESOLUTION: ClassVar[float]  # metres of a step, where we write
+    KINDS: ClassVar[Mapping[str, tuple[str, int]]]  # arrays beside the common ones
 
     @classmethod
     def path_of(cls, folder: str, split: str) -> str:

@@ -2,13 +2,13 @@
 beside PCA.
 
 Writes `energy_and_error.png`, `modes.png` and `modes.json`. Kernel PCA needs particles, so its row
-is measured only with --raw_path: RBF kernel, pre-image by kernel ridge regression (thesis 2.4.2),
-fitted on thinned frames of the training runs and measured on thinned frames of the others, as is a
-PCA of the same frames beside it.
+is measured only with --raw_path: RBF kernel, pre-image by kernel ridge regression (Usmani 2023,
+2.4.2), fitted on thinned frames of the training runs and measured on thinned frames of the others,
+as is a PCA of the same frames beside it.
 
 Examples:
-    lts modes datasets/Excavation --output_path=plots
-    lts modes datasets/Excavation --output_path=plots --raw_path=raw/excavation
+    lts modes datasets/excavation --output_path=plots
+    lts modes datasets/excavation --output_path=plots --raw_path=raw/excavation
 """
 
 import os

@@ -193,7 +193,7 @@ def raise_faults(where: str, faults: Sequence[str]) -> None:
     if faults:
         listed = ''.join(f'\n  - {fault}' for fault in faults[:MAX_LISTED])
         more = f'\n  and {len(faults) - MAX_LISTED} more' if len(faults) > MAX_LISTED else ''
-        raise ValueError(f'{where}: {len(faults)} faults, nothing was converted{listed}{more}')
+        raise ValueError(f'{where}: {len(faults)} faults, nothing was written{listed}{more}')
 
 
 def manifest_faults(manifest: Any, entry_keys: Set[str] = ENTRY_KEYS) -> list[str]:
@@ -426,7 +426,8 @@ def write_raw(
         check_units: refuse positions and dt that are implausible in metres and seconds.
 
     Raises:
-        ValueError: all faults of all runs, before the folder exists.
+        ValueError: all faults of all runs, before the folder exists; a folder that is not empty.
+        OSError: it cannot be written.
     """
     runs = iter(runs)
     first = next(runs, None)

@@ -1,8 +1,8 @@
 """Best rigid motion between two point sets with known correspondence (Kabsch, by SVD, in float64).
 
-Source: O. Sorkine-Hornung, M. Rabinovich, "Least-squares rigid motion using SVD" (2017); thesis
-Algorithm 3. The blade is coplanar, so without the determinant fix every second fit would be a
-reflection.
+Source: O. Sorkine-Hornung, M. Rabinovich, "Least-squares rigid motion using SVD" (2017); Usmani
+(thesis, Concordia 2023), Algorithm 3. The blade is coplanar, so without the determinant fix every
+second fit would be a reflection.
 """
 
 from typing import NamedTuple

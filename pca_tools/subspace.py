@@ -1,8 +1,8 @@
 """The soil subspace: r modes W [N, r] shared by the three axes, in float64.
 
-Thesis Algorithm 1 (Haeri and Skonieczny, `pca`): matrix X has one row per (run, frame, axis) and
-one column per particle. Encode Z = (X - mean)^T W per frame, decode X = Z W^T + mean. A mode is a
-node with three coordinates.
+Algorithm 1 of Usmani (thesis, Concordia 2023), after Haeri and Skonieczny: matrix X has one row per
+(run, frame, axis) and one column per particle. Encode Z = (X - mean)^T W per frame, decode
+X = Z W^T + mean. A mode is a node with three coordinates.
 
 Two centerings: `scalar` subtracts one number (the published way; the first modes then hold the
 static layout), `configuration` subtracts the mean position of every particle (N x 3), so that all
@@ -94,7 +94,7 @@ class Subspace:
         return float(self.projection_floors[self.n_modes])
 
     def truncated(self, n_modes: int) -> Self:
-        """Returns the subspace of the first `n_modes` of its modes."""
+        """Returns the subspace of the first `n_modes` of its r modes, of all if it has fewer."""
         return dataclasses.replace(
             self, components=np.ascontiguousarray(self.components[:, :n_modes])
         )

@@ -4,8 +4,9 @@ One word chooses: '' (a pool), 'local' or 'local:4' (Dask here, 4 workers), 'tcp
 scheduler that runs already), 'slurm' or 'slurm:64' (64 jobs of the batch system). Dask is the extra
 `[cluster]`; a pool needs nothing.
 
-Each input is one task of one thread. A task whose worker dies is given to another one, an input
-that raises is tried again twice, and one that always raises is reported without stopping the rest.
+Each input is one task of one thread. Dask gives a task whose worker dies to another one; in
+a pool that ends the command. An input that raises is tried again twice, and one that always raises
+is reported without stopping the rest.
 Functions that write should write one whole file per input and skip what is there: then a command
 that was killed, scheduler and all, goes on when it is given again.
 """

@@ -29,7 +29,7 @@ REPORTS = {
     'nri_stability': ('edges.nri_stability', 'how far seeds of NRI agree'),
     'documents': ('documents', 'tables of the documents, again from their JSON'),
 }
-# Whose times and bits are those of one thread of TensorFlow.
+# Run on one thread of TensorFlow: their times and bits are those of one.
 ON_ONE_THREAD = 'times', 'stability', 'beyond', 'packing', 'explain'
 
 

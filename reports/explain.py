@@ -1,4 +1,4 @@
-"""Lists what the rollout of a model leaves out for its scene, and what each item is worth.
+"""What a rollout saves: lists what it leaves out for its scene, and what each item is worth.
 
 For every item: the edges, the MFLOP of a step (matrix products, counted in the traced graph or from
 the shapes of the layers) and the weights that the rollout would have on top without it, and the

@@ -2,8 +2,8 @@
 
 All runs of the data of record begin with one packing (`mpm/packing.py`), so a model may learn that
 packing too. Runs of the same cases with another seed tell how far two solutions of one case are
-apart, and whether a shipped field is further from a packing that it has not seen. Grains that lie
-by chance make two solutions differ by the root of two times what the best model must be off.
+apart, and whether a shipped field is further from a packing that it has not seen. Two solutions
+differ by sqrt(2) times the error that even a perfect model has, which cannot know the packing.
 
 Examples:
     python -m mpm.generate --scene=wheel --seed=1 --cases=11,slip_0004 --output_path=raw

@@ -1,8 +1,8 @@
 """How well `lts fit-soil` finds known soils: runs of the solver, and a published wheel.
 
 calibration: each valid run of an operator or in a soil of its own (kind `soils`) alone, with its
-density given and without. By so much as angle and density are off here, `fit_soil.OFF` takes the
-model to be off; the runs that it was trained on would flatter it.
+density given and without. The errors found here set `fit_soil.OFF`; runs of
+training would flatter the model.
 single: each test run of kind `soils`, whose soil no other run has. three: all sets of three test
 runs of an operator in the usual soil. So no run that judges has told what a spread is. unseen soil:
 all runs of a dataset of `--fresh`, three paths in one soil, whose seeds nobody has seen.

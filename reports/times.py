@@ -34,7 +34,7 @@ from reports.protocol import judge, tables
 SCHEMA_VERSION = 5
 QUANTITIES = 'soil_mm', 'force_relative_l2'
 ROUNDS, FRAMES = 5, 150
-NOBODY = 'grid', 'disturbed'  # kinds of runs that are not driven from a flat bed
+NOT_OPERATOR = 'grid', 'disturbed'  # kinds of runs that are not driven from a flat bed
 SOIL_FIELD = 'soil field'
 # Drawn as lines, where the protocol has them: nobody waits for a baseline.
 LINES = ('persistence', 'earthmoving', 'Bekker-Wong-Janosi')
@@ -43,7 +43,7 @@ LINES = ('persistence', 'earthmoving', 'Bekker-Wong-Janosi')
 def driven(data_path: str) -> int:
     """The record of the first test run that is driven from a flat bed; ValueError without one."""
     for number, case in enumerate(_cases(data_path, 'test')):
-        if case.get('kind') not in NOBODY:
+        if case.get('kind') not in NOT_OPERATOR:
             return number
     raise ValueError(f'{data_path}: no test run that is driven from a flat bed')
 

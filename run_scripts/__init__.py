@@ -1,1 +1,2 @@
-"""What a person runs: demonstration, tests, reports. Run everything from the project root."""
+"""What a person runs: environment, demonstration, tests, site, training of the shipped models. Run
+everything from the project root."""

@@ -80,13 +80,17 @@ def define_flags() -> None:
 
 
 def main(values) -> None:
-    """ValueError: a model that does not ship."""
+    """ValueError: a model that does not ship, or a training that failed; the others are done."""
     if unknown := set(values.models) - SHIPPED.keys():
         raise ValueError(f'no models {sorted(unknown)}; there are {", ".join(SHIPPED)}')
     jobs = [(name, os.path.abspath(values.work_path)) for name in values.models]
     with workers.start(values.cluster, values.num_processes) as crew:
+        failed = 0
         for outcome in crew.run(train, jobs):
             print(outcome.error or outcome.value, flush=True)
+            failed += outcome.error is not None
+    if failed:
+        raise ValueError(f'{failed} of {len(jobs)} trainings failed')
 
 
 if __name__ == '__main__':

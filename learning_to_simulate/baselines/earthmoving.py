@@ -1,4 +1,4 @@
-"""Force on a blade by the fundamental equation of earthmoving: no soil, no learning.
+"""Force on a blade by the fundamental equation of earthmoving, a closed formula.
 
 Reece (1965), Proc. Inst. Mech. Eng. 179, 16, with the side crescents of McKyes & Ali (1977),
 J. Terramechanics 14, 43, as in McKyes (1985), Soil Cutting and Tillage, ch. 3:

@@ -77,7 +77,7 @@ def train(data_path, model_path, config, options) -> dict:
     valid = reading_utils.read_groups(data_path, 'valid', metadata)
     scene = reading_utils.read_scene(data_path, metadata, groups, options.rigid_motion)
     data = checkpoints.data_record(data_path, metadata)
-    parts = {'config': dataclasses.asdict(config), 'data': data}
+    parts = {'config': dataclasses.asdict(config), 'scene': scene.to_json(), 'data': data}
     with folder_lock.locked(model_path):
         if not checkpoints.holds_model(model_path, parts, [ARRAYS_FILE]):
             _fit(model_path, config, data_path, metadata, groups, valid, scene, data)

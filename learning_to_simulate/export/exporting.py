@@ -59,7 +59,8 @@ def export(
 
 
 def _exported(model_path, data_path, kind, n_tools):
-    if registry.of_folder(model_path).on_terrain:
+    method = registry.of_folder(model_path)
+    if method.on_terrain:
         if kind not in native.FORMATS:
             raise ValueError(f'{model_path}: a soil field has --format=c and fmu')
         if n_tools is not None and kind != 'fmu':
@@ -71,6 +72,8 @@ def _exported(model_path, data_path, kind, n_tools):
         raise ValueError(f'n_tools is {n_tools}: only a soil field has several tools on a terrain')
     if kind == 'fmu':
         raise ValueError(f'{model_path}: only a soil field has --format=fmu')
+    if not method.steps:
+        raise ValueError(f'{model_path}: a method without steps has no exported form')
     if kind == 'c':
         from learning_to_simulate.native.exporting import CModel
 

@@ -19,6 +19,7 @@ from tensorflow.python.framework import convert_to_constants
 
 from learning_to_simulate import registry
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
+from learning_to_simulate.config import TrainConfig
 from learning_to_simulate.rollout import corrected_step
 from learning_to_simulate.scene import RigidMotion
 from learning_to_simulate.subspace.learned_simulator import SimulatorState, initial_state
@@ -56,6 +57,8 @@ class StepFunctions:
         opened = registry.open_model(model_path, data_path, 'test')
         model, group = opened.model, max(opened.groups, key=lambda group: group.n_rigid)
         self._simulator, self._scene = model.simulator, model.simulator.scene
+        if not isinstance(self._simulator.config, TrainConfig):
+            raise ValueError(f'{model_path}: only networks in a subspace have an exported step')
         if self._simulator.config.reads_path:
             raise ValueError(
                 'mode_order 0: an exported step has no memory of the path; use the stepper'

@@ -1,1 +1,1 @@
-"""Live use: poses, starts, status, soil, whole paths."""
+"""Steppers and paths of models in the subspace or on particles; poses (of soil fields, too)."""

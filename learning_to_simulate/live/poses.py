@@ -1,7 +1,8 @@
 """Poses of a rigid body: what a user says, and the particles that the models take.
 
-A pose is a position (m) of the body's reference point, the centroid of its particles, and a
-rotation from the body's own frame. It is given as one of
+A pose is a position (m) of the body's reference point (of models in the subspace the centroid of
+its particles; of soil fields: docs/axes.md), and a rotation from the body's own frame. It is given
+as one of
 
   (x, y, z, qw, qx, qy, qz)     with a quaternion, scalar first
   ((x, y, z), (qw, qx, qy, qz)) the same as a pair

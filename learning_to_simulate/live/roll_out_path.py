@@ -96,5 +96,5 @@ if __name__ == '__main__':
     flags.DEFINE_multi_string(
         'tool', [], 'Of a soil field: NAME=VALUE of its tool, as width=0.4; may be given again.'
     )
-    flags.DEFINE_integer('case', None, 'Case whose bed and body are taken; default: the first.')
+    flags.DEFINE_string('case', None, 'Case whose bed and body are taken; default: the first.')
     command.start(run)

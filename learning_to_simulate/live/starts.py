@@ -54,16 +54,16 @@ class Starts:
     def __len__(self) -> int:
         return len(self.cases)
 
-    def index(self, case: int | None) -> int:
-        """The start of a case of the dataset; for None, the first on a bed that no run before has
-        disturbed. ValueError for an unknown case."""
+    def index(self, case: int | str | None) -> int:
+        """The start of a case of the dataset, by number or name; for None, the first on a bed that
+        no run before has disturbed. ValueError for an unknown case."""
         if case is None:
             calm = (i for i, values in enumerate(self.cases) if values.get('kind') != 'disturbed')
             return next(calm, 0)
-        numbers = [values.get('case') for values in self.cases]
-        if case not in numbers:
-            raise ValueError(f'no start of case {case!r}; there are {numbers}')
-        return numbers.index(case)
+        names = [str(values.get('case')) for values in self.cases]
+        if str(case) not in names:
+            raise ValueError(f'no start of case {case!r}; there are {", ".join(names)}')
+        return names.index(str(case))
 
 
 def collect(data_path: str, nodes: dict) -> Starts:

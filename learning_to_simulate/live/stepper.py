@@ -243,7 +243,7 @@ class Stepper:
         return self._begun().start
 
     def start(self, pose=None, velocity=None, case=None, context=None) -> Frame:
-        """Begins where the body is; returns that frame, without force.
+        """Begins where the body is; returns that frame, with a force of zeros.
 
         Args:
           pose: of the body now (see `poses`); None for that of the case.

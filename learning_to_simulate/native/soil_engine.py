@@ -187,8 +187,8 @@ class CEngine(_Tool):
 
     def _frame(self):
         numbers, result = self._numbers.copy(), self._result
+        numbers.setflags(write=False)
         pose = numbers[:7]
-        pose.setflags(write=False)
         now = self._judgement(result.now) if result.now.status else OK
         worst = self._judgement(result.worst) if result.status else OK
         force, torque, spread = numbers[7:10], numbers[10:13], numbers[13:19]

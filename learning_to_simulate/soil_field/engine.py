@@ -75,7 +75,7 @@ def refuse_floor(pose, tool, terrain) -> None:
 def refuse_step(pose, last, dt, tool, terrain) -> None:
     """Raises ValueError for a step from a pose to another that no tool makes within dt s."""
     if not (isinstance(dt, numbers.Real) and 0 < dt < np.inf):
-        raise ValueError(f'dt is {dt} s: time must go on')
+        raise ValueError(f'dt is {dt} s, must be positive and finite')
     speed = np.linalg.norm(pose[:3] - last[:3]) / dt
     turn = 2 * np.arccos(min(abs(float(pose[3:] @ last[3:])), 1.0)) / dt
     if speed > FASTEST or turn > FASTEST_TURN:
@@ -224,6 +224,8 @@ class TfEngine:
         now = self._field.limits.judge(values, self._number, bool(np.isfinite(mean).all()))
         force, torque = passage.place.unlaid(mean[:3]), passage.place.unlaid(mean[3:])
         spread = loads.std(axis=0)
+        for values in (force, torque, spread):
+            values.setflags(write=False)
         bound = self._field.bound(mean[:3], spread[:3], self._units[0], self._members)
         return SoilFrame(pose, force, torque, worse(before, now), now, spread, bound)
 

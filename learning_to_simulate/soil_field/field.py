@@ -19,7 +19,7 @@ from pca_tools import files
 
 # Share of its training range by which a number may leave it.
 MARGIN = 0.05
-# What no network sees and all of training had as it should be, in the soil: name -> (least, most).
+# What no network sees; beyond these limits a frame in the soil is flagged: name -> (least, most).
 # Yaw and roll, rad; all others in m of the field: distance of the tool from the plane of its
 # passage; how far its ends stand out of the map; what is missing of the tool's `least_soil` between
 # it and the floor; by how much another tool is nearer than `APART`; the side of a cell, at most the

@@ -381,6 +381,8 @@ def run(values, arguments) -> None:
     if source.endswith('.csv'):
         types = {f.name: f.type for f in dataclasses.fields(kind)}
         tool = kind(**command.settings(values.tool, types, 'tool'))
+        if values.cases:
+            raise ValueError('--cases chooses runs of a dataset; all runs of a CSV file are taken')
         ground = None
         if values.terrain:
             if values['surface'].present or values['gravity'].present:

@@ -166,7 +166,7 @@ _MEMORY = tuple(Row(f'{name}_{i}') for i in _MEMORIES for name in ('along', 'up'
 # The networks of a wheel err more with it.
 _PACE = tuple(Row(f'pace_{i}', 0.1) for i in (0, 2, 3))
 _AHEAD = Row('ahead', 0.1, 'tanh')
-# Of a blade's load: most runs begin 80 mm before a wall, which bears as well; a back that comes
+# Of a blade's load: most runs begin 80 mm before a wall, which resists as well; a back that comes
 # down on soil bears many times what an edge does. Grains are stiff against their weight.
 _BACK = (
     Row('behind', 0.1, 'tanh'), Row('pressed', 0.003), Row('sqrt(pressed + 1e-6)', 0.05),

@@ -17,7 +17,7 @@ from collections.abc import Callable
 import numpy as np
 
 from learning_to_simulate.live.poses import turned
-from learning_to_simulate.soil_field.place import UP
+from learning_to_simulate.soil_field.place import UP, checked_pose
 from learning_to_simulate.soil_field.stepper import DT, SoilFrame, SoilStepper
 
 COORDINATES = ('along', 'up', 'lean')
@@ -118,10 +118,13 @@ class LoadedTool:
                 f'expected'
             )
         if not 0 < dt < np.inf:
-            raise ValueError(f'dt is {dt} s: time must go on')
+            raise ValueError(f'dt is {dt} s, must be positive and finite')
         stepper, place = self._stepper, self._stepper.place
         last = self._coordinates(stepper.frame.pose)
-        target = self._coordinates(np.asarray(pose, np.float64))
+        pose = checked_pose(pose)
+        target = self._coordinates(pose)
+        # The lean of a target is the one nearest to the tool: springs see no whole turn.
+        target[2] = last[2] + (target[2] - last[2] + np.pi) % (2.0 * np.pi) - np.pi
         gravity = stepper.terrain.soil.gravity
         given = np.append(place.axes[:2] @ force, torque)
         given[1] -= self._mass[0] * gravity

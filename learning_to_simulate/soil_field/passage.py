@@ -94,7 +94,8 @@ class Passage:
         self._is_stale = False
         self.gone = self._cells
         self._left_behind = self._dropped = 0.0  # m3 of the field in d; m2 cut there
-        self._owed = self._owed_at = 0.0  # C less all that was cut, before a chunk left; way then
+        # C less all that was cut when the bins last moved on; way then.
+        self._owed = self._owed_at = 0.0
         self._see()
         self._is_stale = set_down
         self.is_lifted = self.lifts(self._pose)
@@ -112,7 +113,7 @@ class Passage:
         surface = self.state.surface[self.strips.under]
         is_under = np.abs(self.state.origin + sweep.OFFSETS - pose[0]) < UNDER
         highest = surface[:, is_under].max(initial=surface.mean())
-        # The text below (22): after a turn back any height above the terrain will do.
+        # The paragraph after (22): after a turn back any height above the terrain will do.
         is_back = pose[0] < self.state.foremost[self.strips.under].max() - BACK
         least = 0.0 if is_back else self.tool.lifted
         return bool(pose[1] - self._radius > highest + least)

@@ -2,7 +2,7 @@
 
 All inputs follow from terrain and path, so they are computed once. Each run counts alike, whatever
 it moves or weighs. Of places and particles a part is drawn in each frame, more of those that move;
-each drawn one stands for as many as it was drawn from.
+each drawn one is weighted by how many it was drawn from.
 """
 
 from typing import NamedTuple
@@ -16,8 +16,8 @@ from learning_to_simulate.soil_field.passage import Passage
 from learning_to_simulate.soil_field.place import BESIDE
 from learning_to_simulate.soil_field.runs import Run
 
-# A run that moves less than this (root mean square, m of the field) weighs no more than one that
-# does; one that feels less force, N of the field, likewise.
+# A run that moves less than this (root mean square, m of the field) is weighted as if it moved so
+# far; one that feels less force, N of the field, likewise.
 LEAST_MOTION, LEAST_FORCE = 0.003, 5.0
 MOVED = 0.001  # m of the field, of what moves
 DRAWN = 48  # places or particles of a frame

@@ -64,19 +64,20 @@ class Tool(abc.ABC):
     radius: float
 
     name: ClassVar[str]
-    columns: ClassVar[int]  # under the tool; 1 where it has no neighbours that it knows
+    columns: ClassVar[int]  # strips under the tool; 1: loads do not see neighbouring strips
     scalars: ClassVar[tuple[str, ...]]  # names of `values`
     bears: ClassVar[bool]  # whether its loads are shares of the force up
-    # Over the floor, beside it up to a wall, and of the maps, that it was taught, m of the field.
+    # Of training, m of the field: least soil under the tool, least distance of a wall beside it,
+    # largest cell of a map.
     least_soil: ClassVar[float]
     wall_beside: ClassVar[float]
     largest_cell: ClassVar[float]
     taught_turning: ClassVar[tuple[float, float]]  # see `Passage.turning`
-    # Over the soil, m of the field, beyond all that it was taught: what it has moved stays.
+    # Height over the soil, m of the field, from which on what it has moved stays.
     lifted: ClassVar[float]
-    # Over the terrain, m of the field, up to where it strikes off what it has moved; 0: not at all.
+    # Height over the terrain, m of the field, below which it levels its heap; 0: it does not.
     strikes: ClassVar[float]
-    # Up to where its load and soil differ by how far, m of the field, it has gone back.
+    # Way back, m of the field, beyond which going back farther changes nothing.
     backs: ClassVar[float]
     # Way, m of the field, after which a passage is renewed where the tool cuts new soil.
     renewed_after: ClassVar[float]

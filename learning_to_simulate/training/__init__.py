@@ -1,1 +1,1 @@
-"""Training: windows, noise, losses, steps; the run on disk, one loop for every method."""
+"""Optimiser, schedule, checkpoints and the loop of the networks of `subspace` and `full_space`."""

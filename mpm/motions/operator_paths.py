@@ -118,7 +118,7 @@ def operator_drive(
     """Draws a path of one of `KINDS`; without a tool the blade is 0.457 or 0.30 m wide, or drawn.
 
     Returns the drive and its parameters, JSON-compatible; among them the `ground` where it is not
-    the usual one, the `frames` where they are more than usual. ValueError: no path fits the bin.
+    the usual one, the `frames` where they are not as usual. ValueError: no path fits the bin.
     """
     rng = np.random.default_rng([seed, KINDS.index(kind), 1])
     parameters = {}

@@ -1,4 +1,4 @@
-"""What the reports of the solver share: results that a file keeps, made once, and their command."""
+"""Checks and results of the solver, each made once and kept in a JSON file; their command."""
 
 import json
 import os

@@ -39,7 +39,7 @@ def read(folder: str, dt: float | None = None) -> FullSpaceData:
             'bounds': full_space.bounds_of(
                 {key: arrays[key].tolist() for key in arrays if key == 'bounds'}, path
             ),
-            'up_axis': int(arrays['up_axis']) if 'up_axis' in arrays else None,
+            'up_axis': _up_axis_of(arrays.get('up_axis'), path),
             'rigid_motion': str(arrays['rigid_motion']) if 'rigid_motion' in arrays else None,
         }
         for key, value in found.items():
@@ -48,7 +48,7 @@ def read(folder: str, dt: float | None = None) -> FullSpaceData:
     bounds = list(stated['bounds'].values())
     if len({len(one) for one in bounds}) > 1:
         raise ValueError(f'{folder}: its files have bounds of two and of three axes')
-    context = files.read_npz(paths[0], only=['context']).get('context', np.empty(0))
+    context = np.atleast_1d(files.read_npz(paths[0], only=['context']).get('context', []))
     return FullSpaceData(
         source=f'{folder} ({TITLE})',
         runs=lambda: map(_run_of, paths),
@@ -58,6 +58,14 @@ def read(folder: str, dt: float | None = None) -> FullSpaceData:
         rigid_motion=_only('rigid_motion', stated),
         up_axis=_only('up_axis', stated),
     )
+
+
+def _up_axis_of(held: np.ndarray | None, path: str) -> int | None:
+    if held is None:
+        return None
+    if held.size != 1 or held.dtype.kind not in 'iu':
+        raise ValueError(f'{path}: up_axis is {held.tolist()!r}, 0, 1 or 2 was expected')
+    return int(held.reshape(()))
 
 
 def _only(key: str, stated: dict[str, dict[str, Any]]) -> Any:
@@ -90,8 +98,8 @@ def _run_of(path: str) -> FullSpaceRun:
         soil = np.concatenate([body, soil], axis=1)
         types = np.concatenate([np.full(body.shape[1], 3), types])
     context, split = arrays.get('context'), str(arrays.get('split', ''))
-    if context is not None and context.ndim == 1:
-        context = np.tile(context, (len(soil), 1))
+    if context is not None and context.ndim < 2:
+        context = np.tile(np.atleast_1d(context), (len(soil), 1))
     name, split = os.path.basename(path).removesuffix('.npz'), split if split in SPLITS else ''
     run = FullSpaceRun(name, split, soil, types, arrays.get('force'), context)
     return full_space.check_run(run, path)

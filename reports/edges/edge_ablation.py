@@ -23,7 +23,7 @@ from learning_to_simulate.subspace import edge_lists
 from pca_tools import dataset, files
 from reports.protocol import judge, report
 
-# Whose lists every seed has of its own; the others are of the data.
+# Lists that differ from seed to seed; the others depend on the data alone.
 OF_SEED = ('random', 'NRI')
 NO_LIST: dict[str, dict] = {
     'fully_connected': {'adjacency': 'fully_connected'},

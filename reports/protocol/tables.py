@@ -34,7 +34,7 @@ COLUMNS = {
 
 
 def average(key: str, errors) -> float:
-    """Of the errors of several runs, None of a run without one: their mean, or median."""
+    """The mean of the errors of several runs, or their median; NaN if a run has none (None)."""
     return float((np.median if key in MEDIANS else np.mean)(np.array(errors, np.float64)))
 
 

@@ -89,6 +89,10 @@ def test_a_split_is_opened_once_and_that_of_a_new_dataset_anew(tmp_path, monkeyp
     data = lts.Dataset(data_path)
     truths = [model.rollout(data.test[i]).truth[0] for i in (0, 1)]
     assert len(opened) == 1 and data.test[-1].index == len(data.test) - 1
+    with pytest.raises(ValueError, match='its own velocity'):
+        model.rollout(data.test[0], case=1)
+    with pytest.raises(ValueError, match='only a soil field takes more'):
+        model.evaluate([data.test, data.test])
     with pytest.raises(IndexError, match=f'has {len(data.test)} runs'):
         data.test[len(data.test)]
     shutil.copy(f'{data_path}/valid.tfrecord', f'{data_path}/test.tfrecord')
@@ -161,6 +165,11 @@ def test_wheel_has_its_cases_and_its_context():
         live.start(context={'gravity': 9.81})
     with pytest.raises(ValueError, match='no start of case 1000'):
         live.start(case=1000)
+    name = next(c['case'] for c in starts.cases if isinstance(c['case'], str))
+    start = starts.index(name)
+    assert live.start(case=name).pose[1] == pytest.approx(starts.pose[start, 1], abs=1e-6)
+    numbered = next(c['case'] for c in starts.cases if isinstance(c['case'], int))
+    assert starts.index(str(numbered)) == starts.index(numbered)
 
 
 def test_predicted_body_takes_no_pose_and_says_where_it_is(tmp_path):

@@ -223,6 +223,15 @@ def test_coarse_soil_is_flagged_by_the_name_of_the_tool(blade):
     soil.step()
     assert soil.judgement.status == 'extrapolating'
     assert soil.judgement.reason.startswith('edge: cell 0.1 is outside')
+    d.qvel[0] = 2.5
+    while d.qpos[0] < 0.3:
+        soil.step()
+    d.qvel[0] = 8.0  # so fast the stepper starts anew, in the air
+    frame = soil.step()['edge']
+    assert soil._steppers[0].frame.status == 'ok' and frame.status == 'extrapolating'
+    assert soil.judgement.reason.startswith('edge: cell 0.1 is outside')
+    assert soil.step()['edge'].status == 'extrapolating'
+    assert soil.start()['edge'].status == 'ok' and soil.judgement.status == 'ok'
 
 
 def test_bad_input_is_refused(blade):

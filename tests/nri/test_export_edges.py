@@ -94,7 +94,7 @@ def test_command_writes_a_list_that_the_simulator_reads(data, model_path, tmp_pa
     ]  # fmt: skip
     done = call_command(*command, '--keep=4')
     assert done.returncode == 0, done.stderr
-    assert '4 of 9 edges' in done.stdout and 'bits' in done.stdout
+    assert '4 of 6 edges' in done.stdout and 'bits' in done.stdout
     edges = edge_lists.read(str(tmp_path / 'out' / 'edges.json'))
     mask = edge_lists.read_mask(str(tmp_path / 'out' / 'edges.npy'))
     np.testing.assert_array_equal(mask, edges.mask)

@@ -305,6 +305,13 @@ def test_plain_runs_share_dt_and_axis_and_their_bounds_are_those_of_all(tmp_path
     write('b', dt=0.1, up_axis=1)
     with pytest.raises(ValueError, match='a.npz has up_axis 2, b.npz 1'):
         import_data(str(folder), str(tmp_path / 'third'))
+    write('b', dt=0.1, up_axis=[1, 2])
+    with pytest.raises(ValueError, match=r'b.npz: up_axis is \[1, 2\], 0, 1 or 2 was expected'):
+        import_data(str(folder), str(tmp_path / 'third'))
+    for name in 'abc':
+        write(name, dt=0.1, up_axis=2, context=np.float32(4.5))
+    import_data(str(folder), str(tmp_path / 'third'))
+    assert RawRuns(str(tmp_path / 'third'))[0].context.tolist() == [4.5]
 
 
 def test_differing_particles_and_moving_walls_are_refused():

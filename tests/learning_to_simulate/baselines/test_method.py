@@ -11,6 +11,7 @@ import learning_to_simulate as lts
 from learning_to_simulate import evaluation, presets, registry
 from learning_to_simulate.baselines import method as method_lib
 from learning_to_simulate.baselines import path_ridge
+from learning_to_simulate.export import exporting
 from pca_tools import files
 from tests.learning_to_simulate import synthetic
 
@@ -56,6 +57,11 @@ def test_a_second_call_finds_the_model_done_and_another_one_is_refused(trained):
     assert os.stat(path).st_mtime_ns == before
     with pytest.raises(ValueError, match='another config'):
         registry.train(data, model, presets.make_config('path_ridge', max_samples=61))
+    config, how = presets.make_config('path_ridge', max_samples=60), {'rigid_motion': 'driven'}
+    with pytest.raises(ValueError, match='another scene'):
+        registry.train(data, model, config, **how)
+    with pytest.raises(ValueError, match='has no exported form'):
+        exporting.export(model, data, f'{model}_exported', 'savedmodel')
 
 
 @pytest.mark.parametrize('part', ['scene', 'outputs', 'arrays'])

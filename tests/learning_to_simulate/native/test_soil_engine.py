@@ -578,6 +578,10 @@ def test_refusals_have_the_words_of_python_and_change_nothing():
     for pose in (good[:6], good * np.nan, good - [0, 0.9, 0, 0, 0, 0, 0], on_side):
         refused(pair, lambda one, pose=pose: one.start(pose))
     assert c.frame is frame
+    for one in pair:
+        for values in (one.frame.pose, one.frame.force, one.frame.torque, one.frame.spread):
+            with pytest.raises(ValueError, match='read-only'):
+                values[:] = 0
     for one in pair:  # begins anew: its cut comes to rest and is as it is
         one.start(poses([[0.1, 0.9, 0.0]])[0])
     assert_ground(*pair)

@@ -179,6 +179,8 @@ def test_the_command(tmp_path, digs):
     assert kept['density'] == pytest.approx(DENSITY, rel=0.05)
     assert f'friction angle {kept["angle_deg"]:.1f} +-' in done.stdout
     assert picture.read_bytes()[:4] == b'\x89PNG'
+    done = called('--tool=width=0.4', '--cases=1')
+    assert done.returncode == 1 and 'all runs of a CSV file are taken' in done.stderr
     file.write_text('\n'.join(rows).replace('force_y_N', 'weight'))
     done = called('--tool=depth=0.4')
     assert done.returncode == 1 and 'names are' in done.stderr and 'Traceback' not in done.stderr

@@ -83,6 +83,18 @@ def test_coupled_coordinates_solve_the_whole_system():
         np.testing.assert_allclose(soil.coordinates, q, atol=2e-6)
 
 
+def test_a_spring_of_the_lean_sees_no_whole_turn():
+    soil, leans = Springs(), []
+    tool = LoadedTool(soil, MASS, 1.0, ('lean',), (0.0, 0.0, 400.0), (0.0, 0.0, 40.0))
+    for lean in 0.1 * np.arange(1, 81):
+        tool.step(poses([[0.0, 0.0, lean]])[0], dt=0.05)
+        leans.append(soil.coordinates[2])
+    turned = np.unwrap(leans)
+    assert (np.diff(turned) > 0).all()
+    # At 2 rad/s the damper pulls back by 80 N m, so the spring is 0.2 rad long.
+    assert turned[-1] == pytest.approx(8.0 - 0.2, abs=0.01)
+
+
 def test_what_is_not_free_follows_the_pose():
     soil = Springs(np.diag([1e4, 1e5, 1e3]))
     tool = LoadedTool(soil, MASS, free=('up',))

@@ -1,5 +1,5 @@
 /* A tool on a terrain, frame by frame: forces, how far they can be trusted, and what is refused. Twin of
- * `soil_field/stepper.py` and of `SoilField.judged`. */
+ * `TfEngine` (`soil_field/engine.py`) and of `SoilField.judged`. */
 #include <math.h>
 #include <string.h>
 

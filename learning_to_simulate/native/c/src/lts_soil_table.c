@@ -1,4 +1,4 @@
-/* Reads the tables of inputs that come with a model, for many places side by side. Twin of `SoilNetworks._read` and
+/* Reads the tables of inputs that come with a model, for many places side by side. Twin of `Inputs._read` and
  * `_at` of `soil_field/network.py`, in its float32. */
 #include <math.h>
 #include <string.h>
