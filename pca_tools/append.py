@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from absl import flags
 
-from pca_tools import command, convert, dataset, encode, files, packing
+from pca_tools import command, compression, convert, dataset, encode, files
 from pca_tools.encode import EncodedRun
 from pca_tools.heights import Heights
 from pca_tools.metadata import SPLITS
@@ -98,10 +98,10 @@ def _are_equal(made: EncodedRun, held: EncodedRun, whole: encode.Contents) -> bo
 
     def unpacked(run: EncodedRun) -> list[np.ndarray]:
         rest = whole.space.initial[whole.sampled]
-        found = [packing.unpack_steps(*run.sample, rest, ParticleSample.RESOLUTION)]
+        found = [compression.unpack_steps(*run.sample, rest, ParticleSample.RESOLUTION)]
         if whole.grid and run.heights:
             flat = np.zeros(whole.grid.shape)
-            found.append(packing.unpack_steps(*run.heights, flat, Heights.RESOLUTION))
+            found.append(compression.unpack_steps(*run.heights, flat, Heights.RESOLUTION))
         return found
 
     return (

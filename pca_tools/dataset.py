@@ -5,7 +5,7 @@ rigid particles first, then r modes of the soil subspace, each mode a node whose
 are its x, y, z scores.
 
 Records are written in one of two forms. Plain ones have one buffer a frame, and DeepMind's reader
-takes them. Packed ones take a fifth of the bytes (`pca_tools.packing`): scores to within half a
+takes them. Packed ones take a fifth of the bytes (`pca_tools.compression`): scores to within half a
 micrometre, particles of a rigid body as their places on the body, which its pose moves, and
 everything else bit for bit. Both are read alike.
 """
@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from pca_tools import files, packing, rigid_fit, tfrecord_io
+from pca_tools import compression, files, rigid_fit, tfrecord_io
 from pca_tools.metadata import DIM, METADATA_NAME, SPLITS, non_finite, read_metadata
 
 RIGID_PARTICLE_ID = 0
@@ -147,18 +147,20 @@ def _trajectory_from_record(record: tfrecord_io.SequenceRecord, where: str) -> T
 
 def _unpacked(packed: dict[str, bytes], particle_type: np.ndarray) -> dict[str, np.ndarray]:
     """Returns name -> [T, values] of a packed record."""
-    series = {name: packing.unpack_series(packed[name]) for name in FRAME_SERIES if name in packed}
+    series = {
+        name: compression.unpack_series(packed[name]) for name in FRAME_SERIES if name in packed
+    }
     if 'scores' not in packed:
         raise ValueError(f'holds no scores of modes, only {sorted(packed)}')
-    parts = [packing.unpack_positions(packed['scores'])]
+    parts = [compression.unpack_positions(packed['scores'])]
     if 'rigid_shape' in packed:
-        shape = packing.unpack_series(packed['rigid_shape']).reshape(-1, DIM)
+        shape = compression.unpack_series(packed['rigid_shape']).reshape(-1, DIM)
         pose = series.get('rigid_pose', np.empty((0, 0)))
         if pose.shape[1] != 7:
             raise ValueError('holds the shape of a body but no pose of it')
         parts.insert(0, rigid_fit.placed(shape, pose).astype(np.float32))
     elif 'rigid_position' in packed:
-        values = packing.unpack_series(packed['rigid_position'])
+        values = compression.unpack_series(packed['rigid_position'])
         parts.insert(0, values.reshape(len(values), -1, DIM))
     counts = [part.shape[:2] for part in parts]
     if len({frames for frames, _ in counts}) > 1 or sum(n for _, n in counts) != len(particle_type):
@@ -170,18 +172,18 @@ def _unpacked(packed: dict[str, bytes], particle_type: np.ndarray) -> dict[str, 
 def _packed(trajectory: Trajectory) -> dict[str, bytes]:
     """Returns the series of a record, packed; the inverse of `_unpacked`."""
     rigid, scores = np.split(trajectory.position, [trajectory.n_rigid], axis=1)
-    packed = {'scores': packing.pack_positions(scores, SCORE_RESOLUTION)}
+    packed = {'scores': compression.pack_positions(scores, SCORE_RESOLUTION)}
     if rigid.size:
         name, values, pose = 'rigid_position', rigid, trajectory.rigid_pose
         if pose is not None:  # which may put its particles where they are in every frame
             shape = rigid_fit.on_body(rigid[0], pose[0]).astype(np.float32)
             if np.abs(rigid_fit.placed(shape, pose) - rigid).max() < POSE_TOLERANCE:
                 name, values = 'rigid_shape', shape[None]
-        packed[name] = packing.pack_series(values)
+        packed[name] = compression.pack_series(values)
     for name in FRAME_SERIES:
         values = getattr(trajectory, name)
         if values is not None:
-            packed[name] = packing.pack_series(values)
+            packed[name] = compression.pack_series(values)
     return packed
 
 

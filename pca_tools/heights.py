@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pca_tools.packing import PackedRuns
+from pca_tools.compression import PackedRuns
 
 # Lower corner of the bins of our solver on each axis, m (`mpm.scenes`).
 _SOLVER_CORNER = 0.1

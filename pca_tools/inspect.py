@@ -19,10 +19,10 @@ from typing import Any
 import numpy as np
 
 from pca_tools import command, dataset, encode, files, legacy_pickles, rigid_fit
+from pca_tools.compression import PackedRuns
 from pca_tools.dataset import Trajectory
 from pca_tools.heights import Heights
 from pca_tools.metadata import AXES, SPLITS
-from pca_tools.packing import PackedRuns
 from pca_tools.particles import ParticleSample
 from pca_tools.storage import markdown
 from pca_tools.subspace import CLUSTER_GAP, Subspace

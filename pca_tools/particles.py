@@ -4,14 +4,14 @@ Records hold mode scores, which know nothing of what the subspace cuts off. So t
 can be judged on particles, and particle methods trained, the converter also keeps a fixed sample of
 the bed: P particles spread over it, every fourth frame, to within 0.02 mm.
 
-A run is stored as whole steps of `resolution` from the rest place (`pca_tools.packing`): most
+A run is stored as whole steps of `resolution` from the rest place (`pca_tools.compression`): most
 particles rest most of the time, so nearly all bytes are 0. Runs can be read one by one.
 """
 
 import numpy as np
 
+from pca_tools.compression import PackedRuns
 from pca_tools.metadata import DIM
-from pca_tools.packing import PackedRuns
 
 SAMPLE_SIZE = 600
 SEED = 0

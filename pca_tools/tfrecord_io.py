@@ -34,7 +34,7 @@ class SequenceRecord:
     key: int  # int64 context feature `key`
     particle_type: bytes  # bytes of the context feature `particle_type` (little-endian int64)
     frames: dict[str, list[bytes]]  # feature -> one value per frame (little-endian float32)
-    # Series name -> bytes of `pca_tools.packing`, in place of frames; context features of the names
+    # Series name -> bytes of `compression`, in place of frames; context features of the names
     # `packed/<name>`
     packed: dict[str, bytes] = dataclasses.field(default_factory=dict)
 

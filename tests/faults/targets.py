@@ -29,12 +29,12 @@ from nri import data as nri_data
 from nri import model as nri_model
 from nri.config import NriConfig
 from pca_tools import (
+    compression,
     dataset,
     files,
     formats,
     heights,
     legacy_pickles,
-    packing,
     particles,
     raw_runs,
     subspace,
@@ -235,7 +235,7 @@ def _import(name: str, changed: tuple[str, ...]) -> Target:
     return Target(f'import {name}', Promise.OPEN, write, changed, read, possible)
 
 
-def _packed(kind: type[packing.PackedRuns], **own) -> Target:
+def _packed(kind: type[compression.PackedRuns], **own) -> Target:
     """The reader of series of runs; `own` are the arrays of their kind."""
     name = f'{kind.NAME}_train.npz'
 

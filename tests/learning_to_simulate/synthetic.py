@@ -4,7 +4,7 @@ import os
 
 import numpy as np
 
-from pca_tools import dataset, files, packing, particles, subspace
+from pca_tools import compression, dataset, files, particles, subspace
 
 N_MODES, N_FRAMES, N_SOIL = 3, 40, 50
 RADIUS = 0.1
@@ -141,6 +141,6 @@ def write_sample(folder, split, soil, chosen, stride):
     """Writes the particle sample of a split: every `stride`-th frame of each run [T', P, 3], and
     which particles these are."""
     rest = soil[0][0]
-    packed = [(packing.pack_steps(run, rest, 1e-7), len(run)) for run in soil]
+    packed = [(compression.pack_steps(run, rest, 1e-7), len(run)) for run in soil]
     indices = np.asarray(chosen, np.int32)
     particles.ParticleSample.write(folder, split, packed, rest, stride, 1e-7, indices=indices)

@@ -1,4 +1,4 @@
-"""The particle sample: what is drawn. What is kept of it: `test_convert.py`, `test_packing.py`."""
+"""The particle sample: what is drawn. What is kept: `test_convert.py`, `test_compression.py`."""
 
 import numpy as np
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pca_tools import files, packing
+from pca_tools import compression, files
 from pca_tools.heights import Heights
 from pca_tools.particles import ParticleSample
 
@@ -22,24 +22,24 @@ def wandering(frames=30, points=40):
 
 def test_steps_keep_the_stated_bound():
     rest, moved = wandering()
-    data = packing.pack_steps(moved, rest, STEP)
-    again = packing.unpack_steps(data, 30, rest, STEP)
+    data = compression.pack_steps(moved, rest, STEP)
+    again = compression.unpack_steps(data, 30, rest, STEP)
     assert again.dtype == np.float64 and again.shape == moved.shape
     assert np.abs(again - moved).max() <= 0.5 * STEP * (1 + 1e-9)
     np.testing.assert_array_equal(again[:, ::2], moved[:, ::2])
     with pytest.raises(ValueError, match='from its rest place'):
-        packing.pack_steps(moved + 1e6, rest, STEP)
+        compression.pack_steps(moved + 1e6, rest, STEP)
     with pytest.raises(ValueError, match='bytes, .* were expected'):
-        packing.unpack_steps(data, 29, rest, STEP)
+        compression.unpack_steps(data, 29, rest, STEP)
 
 
 @pytest.mark.parametrize('size', [0.1, 3.0, 100.0])  # float32 finer and coarser than the steps
 def test_positions_packed_again_are_the_same(size):
     values = np.random.default_rng(1).normal(0, size, (20, 6, 3)).astype(np.float32)
-    once = packing.unpack_positions(packing.pack_positions(values, 1e-6))
+    once = compression.unpack_positions(compression.pack_positions(values, 1e-6))
     assert once.dtype == np.float32
     assert np.abs(once - values).max() <= 0.5e-6 + np.spacing(np.float32(5 * size))
-    twice = packing.unpack_positions(packing.pack_positions(once, 1e-6))
+    twice = compression.unpack_positions(compression.pack_positions(once, 1e-6))
     np.testing.assert_array_equal(twice, once)
 
 
@@ -47,15 +47,15 @@ def test_positions_packed_again_are_the_same(size):
 def test_series_come_back_bit_for_bit(shape):
     values = np.random.default_rng(2).normal(size=(50, *shape)).astype(np.float32)
     values[3] = np.float32('nan')
-    again = packing.unpack_series(packing.pack_series(values))
+    again = compression.unpack_series(compression.pack_series(values))
     assert again.tobytes() == values.tobytes()
 
 
 def test_damaged_bytes_are_refused():
     _, moved = wandering()
     for pack, unpack in (
-        (lambda v: packing.pack_positions(v, STEP), packing.unpack_positions),
-        (packing.pack_series, packing.unpack_series),
+        (lambda v: compression.pack_positions(v, STEP), compression.unpack_positions),
+        (compression.pack_series, compression.unpack_series),
     ):
         data = pack(moved.astype(np.float32))
         for wrong in (data[:-9], data[:5], b'', b'\xff' * 8 + data[8:], bytes(8) + data[8:]):
