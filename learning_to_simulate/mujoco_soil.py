@@ -125,7 +125,7 @@ class MujocoSoil:
             )
         self._check_time()
         self._spots = [self._spot(name) for name in self._names]
-        self._bodies = [body for _, _, body in self._spots]
+        self._bodies = np.array([body for _, _, body in self._spots])
         self._scale = np.tile(ARM, len(tools))
         self._radii = np.array([stepper.tool.radius for stepper in self._steppers])
         self.frames: dict[str, SoilFrame] = {}
@@ -138,6 +138,7 @@ class MujocoSoil:
         self._loads = np.zeros_like(self.wrenches)  # about the places of the tools, axes of lts
         self._slopes: list[Any] = [None] * len(self._names)
         self._damping, self._waited = [Damping() for _ in self._names], np.inf
+        self._worst = dict.fromkeys(self._names, OK)  # of before a tool began anew in the air
 
     def _check_time(self):
         if not 0 < self._model.opt.timestep <= DT * (1 + 1e-6):
@@ -181,7 +182,7 @@ class MujocoSoil:
         for name, stepper, pose in zip(self._names, self._steppers, self._poses(), strict=True):
             with _naming(name):
                 found[name] = stepper.start(pose)
-        self.frames, self._worst = found, dict.fromkeys(found, OK)
+        self.frames = found
         self._loads = np.stack([_load(frame) for frame in found.values()])
         return found
 
@@ -234,7 +235,8 @@ class MujocoSoil:
             if flies:  # a new start, which forgets what was judged before
                 self._worst[name] = worse(self._worst[name], stepper.frame.judgement)
             frame = stepper.start(pose) if flies else stepper.step(pose, dt)
-            frame = frame._replace(judgement=worse(self._worst[name], frame.judgement))
+            if self._worst[name] is not OK:
+                frame = frame._replace(judgement=worse(self._worst[name], frame.judgement))
             self._damping[j].go_on(frame.force[1], rate, dt)
             if damped[j]:
                 frame = frame._replace(force=frame.force + damped[j] * UP)
@@ -252,8 +254,7 @@ class MujocoSoil:
 
     def _apply(self, wrenches):
         """Puts loads in the place of those of the step before; the user's own stay."""
-        for body, change in zip(self._bodies, wrenches - self.wrenches, strict=True):
-            self._data.xfrc_applied[body] += change
+        np.add.at(self._data.xfrc_applied, self._bodies, wrenches - self.wrenches)
         self.wrenches = wrenches
 
     def _fly(self, poses, dt):

@@ -124,7 +124,7 @@ def read_groups(
     first `modes`; 0 keeps all. FileNotFoundError, ValueError: as `pca_tools.dataset.read_split`;
     more modes than there are."""
     if modes > metadata['mode_number']:
-        raise ValueError(f'{folder}: has {metadata["mode_number"]} modes, {modes} were asked for')
+        raise ValueError(f'{folder}: has {metadata["mode_number"]} modes, not {modes}')
     up = metadata.get('scene', {}).get('up_axis', 1)
     points = [body['points'] for body in metadata.get('scene', {}).get('bodies', [])]
     ends = np.cumsum(points, dtype=int)[:-1]

@@ -58,9 +58,7 @@ def _drawing(name: str) -> ModuleType:
     try:
         return importlib.import_module(f'learning_to_simulate.rendering.{name}')
     except ModuleNotFoundError as error:
-        raise ValueError(
-            f'pictures need {error.name}: pip install .[viz] (--format=vtp does not)'
-        ) from error
+        raise ValueError(f'pictures need {error.name}: pip install .[viz]') from error
 
 
 def target_and_format(path: str) -> tuple[str, str]:

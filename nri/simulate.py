@@ -12,6 +12,7 @@ Writes loc_, vel_ and edges_{train,valid,test}_<system><V>.npy, float32 (S, T, 2
 and (S, V, V). T = length / sample_freq - 1, as Kipf's.
 """
 
+import abc
 import dataclasses
 import math
 import os
@@ -32,7 +33,7 @@ CHUNK = 500
 
 
 @dataclasses.dataclass(frozen=True)
-class _System:
+class _System(abc.ABC):
     """Objects of unit mass in a box. ValueError: a value that is not positive, or omega dt >= 2."""
 
     n_objects: int = 5  # V
@@ -56,9 +57,9 @@ class _System:
                 f'must be below {LEAPFROG_LIMIT / omega:.4g}'
             )
 
+    @abc.abstractmethod
     def highest_frequency(self) -> float:
         """A bound of omega."""
-        raise NotImplementedError
 
 
 class Springs(_System):

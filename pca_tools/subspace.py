@@ -180,7 +180,7 @@ def fit(
     eigenvalue ~1e-14 of the largest).
 
     Args:
-        runs: finite float [T, N, 3] arrays in metres with the same N; any sequence that can be gone
+        runs: float [T, N, 3] arrays in metres with the same N; any sequence that can be gone
             through twice, loading one run at a time.
         n_modes: r.
         centering: `configuration` (mean position of each particle) or `scalar` (one number).
@@ -192,19 +192,19 @@ def fit(
             `part` (as `pca_tools.raw_runs.SoilPositions` has). The same subspace to round-off.
 
     Raises:
-        ValueError: no runs, one frame, no motion at all, more modes than the data has rank, or an N
-            too large for the memory.
+        ValueError: no runs, one frame, other shapes, NaN, no motion at all, more modes than the
+            data has rank, or an N too large for the memory.
     """
     if centering not in CENTERINGS:
         raise ValueError(f'centering {centering!r} is not one of {CENTERINGS}')
     if n_modes < 1:
-        raise ValueError(f'{n_modes} modes were asked for, at least 1 is needed')
+        raise ValueError(f'{n_modes} modes: at least 1 is needed')
     mean, n_rows, largest = _mean_configuration(runs, centering)
     n_soil = runs[0].shape[1]
     limit = min(n_rows, n_soil)
     if n_modes > limit:
         rows = f'{n_rows} rows (run x frame x axis) of {n_soil} particles'
-        raise ValueError(f'{n_modes} modes were asked for, {rows} have at most {limit}')
+        raise ValueError(f'{n_modes} modes are too many: {rows} have at most {limit}')
     length = min(max(SPECTRUM_LENGTH, n_modes + spare_modes + 1), limit)
     budget = max_memory_mb * 2**20
     if SVD_COPIES * 8 * n_rows * n_soil <= budget:
@@ -242,9 +242,15 @@ def fit(
 
 def _mean_configuration(runs, centering) -> tuple[np.ndarray, int, float]:
     """Returns the mean ([N, 3] or []), the number of rows and the largest coordinate in magnitude;
-    ValueError for fewer than two frames."""
-    total, frames, largest = 0.0, 0, 0.0
-    for run in tqdm(runs, 'mean', unit='run'):
+    ValueError for other shapes, NaN, or fewer than two frames."""
+    total, frames, largest, n_soil = 0.0, 0, 0.0, None
+    for index, run in enumerate(tqdm(runs, 'mean', unit='run')):
+        n_soil = run.shape[1] if n_soil is None and run.ndim == 3 else n_soil
+        if run.ndim != 3 or run.shape[1:] != (n_soil, DIM):
+            expected = f'[T, {n_soil or "N"}, {DIM}]'
+            raise ValueError(f'run {index}: positions have shape {run.shape}, not {expected}')
+        if fault := non_finite(run, 'frame', 'particle', 'axis'):
+            raise ValueError(f'run {index} holds {fault}')
         total = total + run.sum(axis=0, dtype=np.float64)
         frames += len(run)
         largest = max(largest, float(np.abs(run).max()))

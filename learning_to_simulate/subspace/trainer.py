@@ -14,6 +14,7 @@ import tensorflow as tf
 from learning_to_simulate.axes import up_vector
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.scene import RigidMotion
+from learning_to_simulate.subspace import noise_utils
 from learning_to_simulate.subspace.edge_gates import EdgeGates
 from learning_to_simulate.subspace.learned_simulator import SimulatorState, initial_state
 from learning_to_simulate.subspace.rigid_body import known_motion
@@ -129,11 +130,9 @@ class Trainer(GradientTraining):
         std = np.full(layout.velocity_std.shape, config.noise_std, np.float32)
         if not config.is_published:
             std *= layout.velocity_std
-        # A random walk over the frames (SG 2020, section 4.2): the noise of frame k of n is the sum
-        # of k steps, of std sigma sqrt(k / n), sigma in the last one.
-        steps = tf.random.stateless_normal(state.velocity.shape, seed)
-        std = std * (layout.moving > 0) / (H - 1) ** 0.5
-        noise = tf.cumsum(steps, axis=2) * std[:, np.newaxis]
+        noise = noise_utils.random_walk_velocity_noise(
+            state.velocity.shape, std * (layout.moving > 0), seed
+        )
         if scene.rigid_motion == RigidMotion.DRIVEN:
             # One degree of freedom: every rigid particle carries the same noise, on the scale of
             # the height.

@@ -12,8 +12,8 @@ The same command again resumes. A model that was trained elsewhere, as on a GPU,
 """
 
 import dataclasses
+import glob
 import os
-import shutil
 
 from absl import flags
 from matplotlib.figure import Figure
@@ -69,7 +69,8 @@ def run(system, n_objects, work_path, counts, config, model_path=None):
         made = simulate.SYSTEMS[system](n_objects=n_objects)
         sample_every = round(0.1 / made.dt)
         how = 50 * sample_every, sample_every, 42
-        shutil.rmtree(data_path, ignore_errors=True)  # of a simulation that was killed
+        for left in glob.glob(os.path.join(glob.escape(data_path), f'*_{name}.npy')):
+            os.remove(left)  # of a simulation that was killed
         simulate.write_dataset(made, system, made_of, *how, data_path)
     if model_path:
         trained = model.load_model(model_path)

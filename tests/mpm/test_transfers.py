@@ -1,4 +1,4 @@
-"""Transfers, eqs. (1) to (4), against a plain numpy twin."""
+"""Transfers, eqs. (1) to (4), against a plain numpy twin, and what they must conserve."""
 
 import re
 
@@ -143,6 +143,11 @@ def test_forces_are_those_of_the_new_stress(particles, dtype):
         stresses.append(stress + damping * rate)
     expected, found = force_of(after, stresses), field(nodes.force)[..., :3]
     np.testing.assert_allclose(found, expected, atol=5e3 * near * np.abs(expected).max())
+    # Internal forces push nothing as a whole, and turn nothing: the stress is symmetric.
+    scale = np.abs(found).sum()
+    np.testing.assert_allclose(found.sum(axis=(0, 1, 2)), 0.0, atol=50 * near * scale)
+    moment = np.cross(places(), found).sum(axis=(0, 1, 2))
+    np.testing.assert_allclose(moment, 0.0, atol=50 * near * scale)
 
 
 @pytest.mark.parametrize(
@@ -161,3 +166,30 @@ def test_particle_off_the_grid_or_turned_inside_out_is_reported(column, values, 
             experiment.solver.advance(make_block(experiment.particles), 1, 0.0)
         nodes = experiment.solver.nodes  # the work space is clean again
         assert not nodes.velocity.any() and not nodes.force.any()
+
+
+def angular_momentum(rows):
+    """About the origin, over the mass of a particle, with what turns inside of each: [3]."""
+    axes = np.eye(3)
+    turns = np.cross(axes[:, None], axes)  # e_b x e_c
+    gradients = rows[:, columns.C : columns.C + 9].reshape(-1, 3, 3)
+    inner = np.einsum('bca,b,pcb->a', turns, GRID.cell**2 / 4.0, gradients)
+    return np.cross(rows[:, :3], rows[:, 3:6]).sum(axis=0) + inner
+
+
+def test_an_exchange_keeps_momentum_and_moment(particles):
+    """On cells that are longer across; soil without stress that moves on for a while."""
+    particles[:, columns.S : columns.S + 6] = 0.0
+    particles[:, columns.VOLUME_RATIO] = 1.0
+    momentum, moment = particles[:, 3:6].sum(axis=0), angular_momentum(particles)
+    block, nodes, _ = scatter(particles)
+    carried = field(nodes.velocity)
+    has_mass = carried[..., 3] > 0
+    carried[has_mass, :3] /= carried[has_mass, 3:]
+    nodes.displacement[:] = 1e-3 * nodes.velocity
+    grid_to_particles(block, nodes.velocity, nodes.displacement, GRID)
+    after = block.particles
+    assert np.abs(after[:, 3:6] - particles[:, 3:6]).max() > 0.1
+    scale = np.abs(particles[:, 3:6]).sum()
+    np.testing.assert_allclose(after[:, 3:6].sum(axis=0), momentum, atol=1e-15 * scale)
+    np.testing.assert_allclose(angular_momentum(after), moment, atol=1e-15 * scale)

@@ -78,6 +78,8 @@ def test_refusals(memory):
     for arguments, text in (
         (([runs[0][:1]], 1), 'at least 2 frames'),
         (([], 1), 'at least 2 frames'),
+        (([*runs, *make_runs(1, particles=120)], 3), r'run 3: .* 120, 3\), not \[T, 140, 3\]'),
+        (([runs[0], runs[0] * np.nan], 3), 'run 1 holds .* NaN'),
         ((runs, 3, 'median'), 'centering'),
         ((runs, 0), '0 modes'),
         ((runs, 13), 'asked for 13 modes, data rank is 12'),

@@ -326,6 +326,24 @@ def test_a_wheel_goes_from_level_ground_onto_a_slope_and_back():
     assert on @ [s, c, 0.0] == pytest.approx(off[1], rel=0.05)
 
 
+def test_the_order_of_tools_far_apart_does_not_matter():
+    ends = []
+    for order in ((0, 1), (1, 0)):
+        soil = ground()
+        names = list(TOOLS)
+        tools = [stepper(n, soil) for n in names]
+        ways = [poses(way(n), shift=(0, 0, z)) for n, z in zip(names, (-1.0, 1.0), strict=True)]
+        found = {}
+        for t in range(len(ways[0])):
+            for k in order:
+                tool = tools[k]
+                frame = tool.step(ways[k][t]) if t else tool.start(ways[k][0])
+                found.setdefault(k, []).append(np.concatenate([frame.force, frame.torque]))
+        ends.append((found[0], found[1], soil.heights.copy()))
+    for one, other in zip(*ends, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
 def untaught():
     """Reason of the last frame ('' where it is known), tool, path, fall of the ground across, rise
     along."""
