@@ -54,12 +54,14 @@ def check_body_motion(path: np.ndarray, reach: float, dt: float, dx: float, star
     """Refuses a body that jumps over cells (ValueError): soil could pass through it between two
     steps.
 
-    `path` [steps + 1, 3 or 4] are its poses at the steps' ends, x and y in m (constant where they
-    are not prescribed), angle in rad; `reach` is the largest distance of its outline from the
-    reference point, m; dt and dx are in s and m; `start` is the time of the first pose, s.
+    `path` [steps + 1, 3 or 4] are its poses at the steps' ends, x, y and z in m (constant where
+    they are not prescribed), angle in rad, which comes before z; `reach` is the largest distance of
+    its outline from the reference point, m; dt and dx are in s and m; `start` is the time of the
+    first pose, s.
     """
     change = np.diff(path, axis=0)
-    travel = np.hypot(change[:, 0], change[:, 1]) + reach * np.abs(change[:, 2])
+    way = np.linalg.norm(np.delete(change, 2, axis=1), axis=1)
+    travel = way + reach * np.abs(change[:, 2])
     worst = int(np.argmax(travel))
     if not travel[worst] <= VELOCITY_CFL * dx:
         raise ValueError(

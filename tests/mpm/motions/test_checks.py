@@ -18,12 +18,12 @@ def held(x=0.5, y=0.3, lean_deg=0.0, z=BOX.z_middle, body=None, machine=None):
     return Drive(body or bodies.make_blade(), lambda t: np.tile(pose, (len(t), 1)), machine)
 
 
-def along(x=0.6, y=0.3, turn=0.0, box=BOX):
+def along(x=0.6, y=0.3, turn=0.0, box=BOX, aside=0.0):
     """Poses over time from functions of it, or constants."""
 
     def pose(t):
-        rows = [value(t) if callable(value) else value + 0 * t for value in (x, y, turn)]
-        return np.stack([*rows, box.z_middle + 0 * t], axis=1)
+        rows = [value(t) if callable(value) else value + 0 * t for value in (x, y, turn, aside)]
+        return np.stack(rows, axis=1) + [0.0, 0.0, 0.0, box.z_middle]
 
     return pose
 
@@ -70,11 +70,13 @@ def test_a_tool_wider_than_the_room_beside_it_is_refused(width, aside):
 def test_speed_against_the_step_with_tip_and_rim():
     limit = 0.5 * BOX.dx * 60 * 8  # m/s, in steps of an eighth of a frame
 
-    def sliding(speed):
-        return Drive(bodies.make_blade(), along(x=lambda t: 0.6 - speed * t))
+    def sliding(axis, first, speed):
+        return Drive(bodies.make_blade(), along(**{axis: lambda t: first - speed * t}))
 
-    checks.check_drive(sliding(0.99 * limit), BOX, 6, 8)
-    refused(sliding(1.01 * limit), rf'the body moves at .*\({limit:.4g} m/s\)', 6, 8)
+    for axis, first, frames in (('x', 0.6, 6), ('aside', 0.05, 3)):
+        checks.check_drive(sliding(axis, first, 0.99 * limit), BOX, frames, 8)
+        words = rf'the body moves at .*\({limit:.4g} m/s\)'
+        refused(sliding(axis, first, 1.01 * limit), words, frames, 8)
     wheel, box = bodies.make_wheel(0.15), scenes.WHEEL.bin
 
     def spinning(rim):
