@@ -395,11 +395,10 @@ class Passage:
         under = self.strips.under
         pressed = np.zeros(len(s.surface))  # (26); beside the tool there is no back
         pressed[under] = sweep.pressed(s, self._radius, *self.tool.back(s.pose[2]))[under]
-        columns = [
-            *self._values, self.carried, np.clip(below, 0.0, BELOW), ahead,
+        own = sweep.columns(
+            len(s.surface), *self._values, self.carried, np.clip(below, 0.0, BELOW), ahead,
             sweep.layer(s, self.tool.strikes), behind, pressed,
-        ]  # fmt: skip
-        own = np.stack(np.broadcast_arrays(*columns), axis=1).astype(np.float32)
+        )  # fmt: skip
         scalars = np.concatenate([sweep.scalars(s, self.level), own], axis=1)
         return sweep.Frame(sweep.channels(s, self.level)[None], scalars[None])
 

@@ -282,8 +282,15 @@ def scalars(state: Sweep, level: float) -> np.ndarray:
     """float32 [J, S] of `SCALARS`; u from the bins' origin, heights from a level, m."""
     # Farther behind, as of a tool that goes on in the air, it tells nothing of what is near.
     foremost = np.maximum(state.foremost, state.tip - WINDOW) - state.origin
-    columns = [
-        state.tip - state.origin, state.pose[1] - level, state.pose[2], area(state), foremost,
-        state.way, state.speed, *state.memory.ravel(),
-    ]  # fmt: skip
-    return np.stack(np.broadcast_arrays(*columns), axis=1).astype(np.float32)
+    return columns(
+        len(state.surface), state.tip - state.origin, state.pose[1] - level, state.pose[2],
+        area(state), foremost, state.way, state.speed, *state.memory.ravel(),
+    )  # fmt: skip
+
+
+def columns(count: int, *values) -> np.ndarray:
+    """float32 [count, S] of scalars, or of arrays [count]."""
+    found = np.empty((count, len(values)), np.float32)
+    for column, value in enumerate(values):
+        found[:, column] = value
+    return found
