@@ -49,6 +49,8 @@ RUNS = {
         'tow': 60,
     },
 }
+# Runs for training with seeds from there on: short ones, each with a tool and a soil of its own.
+MORE = {'excavation': {'brief': 180, 'gravity': 60}, 'wheel': {}}
 TEST, VALID = 10, 5  # runs of each kind
 
 
@@ -66,7 +68,7 @@ def split_of(scene: scenes.Scene, case: int | str) -> str | None:
         return None
     count = RUNS[scene.name].get(kind, 0)
     if seed >= count:
-        return None
+        return 'train' if seed < count + MORE[scene.name].get(kind, 0) else None
     every = count // TEST
     if seed % every == 1 and seed // every < TEST:
         return 'test'
@@ -78,10 +80,11 @@ def split_of(scene: scenes.Scene, case: int | str) -> str | None:
 
 def runs_of_kinds(scene: scenes.Scene, kinds: tuple) -> tuple:
     """Returns the ids of the record's runs of some kinds, which take turns."""
-    counts = RUNS[scene.name]
+    more = MORE[scene.name]
+    counts = {kind: RUNS[scene.name][kind] + more.get(kind, 0) for kind in kinds}
     return tuple(
         catalogue.seed_case(kind, seed)
-        for seed in range(max(counts[kind] for kind in kinds))
+        for seed in range(max(counts.values()))
         for kind in kinds
         if seed < counts[kind]
     )
