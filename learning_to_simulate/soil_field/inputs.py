@@ -71,6 +71,10 @@ class Table:
     def __len__(self):
         return sum(row.columns for row in self.rows)
 
+    def names(self) -> set[str]:
+        """Of all operands."""
+        return {name for row in self.rows for name in names(row.operand)}
+
     def offsets(self) -> dict[tuple[float, ...], list[str]]:
         """Offsets of rows -> the channels that are read there."""
         found: dict[tuple[float, ...], list[str]] = {}

@@ -110,7 +110,7 @@ class Inputs(_Frames):
         """Channels at places [B, P, k] (m from the origin) on strips [B, P] and their next ones by
         a share [B, P]; linear, beyond the ends the ends. Name -> [B, P, k]."""
         rows, n = tf.shape(bins)[1], tf.shape(bins)[2]
-        seen = tf.stack([bins[..., sweep.CHANNELS.index(c)] for c in names], axis=-1)
+        seen = tf.gather(bins, [sweep.CHANNELS.index(c) for c in names], axis=-1)
         flat = tf.reshape(seen, [tf.shape(bins)[0], rows * n, len(names)])
         last = tf.cast(n - 1, tf.float32)
         along = tf.clip_by_value((place - float(sweep.OFFSETS[0])) / sweep.SPACING, 0.0, last)
@@ -137,18 +137,15 @@ class Inputs(_Frames):
           look: names and offsets -> name -> [B, P, k].
         """
         at = {offsets: look(names, offsets) for offsets, names in table.offsets().items()}
-        values = {name: value[..., None] for name, value in values.items()}
+        values = {name: values[name][..., None] for name in table.names() if name in values}
         columns = []
         for row in table.rows:
             there = {f'at.{name}': value for name, value in at.get(row.at, {}).items()}
             columns.append(column(row, values | there))
-        shape = tf.shape(next(iter(values.values())))[:2]
-        return tf.concat(
-            [tf.broadcast_to(c, [*tf.unstack(shape), tf.shape(c)[-1]]) for c in columns], axis=-1
-        )
+        return tf.concat(columns, axis=-1)
 
     def _values(self, scalars):
-        return {name: scalars[..., i] for name, i in self.scalars.items()}
+        return dict(zip(self.scalars, tf.unstack(scalars, axis=-1)))
 
     def load_inputs(self, bins, scalars):
         """What the load's network sees: own [B, K, I] of the K strips under the tool, sides

@@ -3,7 +3,6 @@
 import pytest
 
 import learning_to_simulate as lts
-from tests.learning_to_simulate import models
 from tests.learning_to_simulate.soil_field import worlds
 
 
@@ -13,6 +12,6 @@ def trained_field(tmp_path_factory):
     folder = tmp_path_factory.mktemp('field')
     data = [worlds.write_dataset(folder / str(i), range(3 * i, 3 * i + 3)) for i in (0, 1)]
     settings = lts.preset('soil_field', members=2, num_steps=6)
-    with models.eagerly():
-        lts.train(settings, [lts.Dataset(path) for path in data], str(folder / 'model'))
-    return str(folder / 'model'), data
+    path = str(folder / 'model')
+    lts.train(settings, [lts.Dataset(each) for each in data], path, save_every=settings.num_steps)
+    return path, data
