@@ -377,7 +377,7 @@ def train(
       config: of `preset`.
       data: dataset with a train split; of a soil field one or several.
       path: model folder, made if absent.
-      save_every: steps between checkpoints; None for a tenth of all.
+      save_every: steps between checkpoints; None for a tenth of all, 100 at least.
 
     Raises:
       ValueError, OSError, SystemExit: as `registry.train`.

@@ -62,9 +62,13 @@ class TrainOptions:
     """How a training is run, beside what is trained."""
 
     rigid_motion: str | None = None  # override of the scene's
-    save_every: int | None = None  # steps between checkpoints; None for a tenth of all
+    save_every: int | None = None  # see `steps_between_saves`
     raw_path: str | None = None  # raw runs, for models on particles; None to decode the records
     initial_weights: str | None = None  # folder of a soil field that another one starts from
+
+    def steps_between_saves(self, num_steps: int) -> int:
+        """Of a training of so many: `save_every`, or a tenth of all, but 100 at least."""
+        return self.save_every or max(num_steps // 10, 100)
 
 
 _SUBSPACE = 'learning_to_simulate.subspace.method'

@@ -62,7 +62,7 @@ _RIGID_MOTION = flags.DEFINE_string(
     "Overrides the scene's: prescribed, driven (height predicted) or predicted.",
 )
 _SAVE_EVERY = flags.DEFINE_integer(
-    'save_every', None, 'Steps between checkpoints; default: a tenth of all steps.', 1
+    'save_every', None, 'Steps between checkpoints; default: a tenth of all, 100 at least.', 1
 )
 _INITIAL_WEIGHTS = flags.DEFINE_string(
     'initial_weights', None, 'Soil field (folder, or a shipped one) that a soil field starts from.'

@@ -53,7 +53,7 @@ def train(data_path, model_path, config, options) -> dict:
     own = METRICS, checkpoints.WEIGHTS_FILE, TRAINING
     with folder_lock.locked(model_path):
         if not checkpoints.holds_model(model_path, parts, own):
-            saved = Saved(model_path, parts, options.save_every or max(config.num_steps // 10, 1))
+            saved = Saved(model_path, parts, options.steps_between_saves(config.num_steps))
             valid = runs_lib.read_all(folders, 'valid', is_needed=False)
             runs = runs_lib.read_all(folders, 'train')
             tool = one_tool(runs + valid, data_path)

@@ -74,7 +74,8 @@ def run(training: Training, model_path: str, options: TrainOptions) -> dict:
         print(f'{training.title}, {weights} weights, {training.trainer.config.num_steps} steps')
         if training.close_gates and start > training.trainer.config.gate_steps:
             print(training.close_gates(model_path))
-        return _train_steps(training, model_path, state, start, options.save_every, stop)
+        save_every = options.steps_between_saves(training.trainer.config.num_steps)
+        return _train_steps(training, model_path, state, start, save_every, stop)
 
 
 def open_model_path(path: str, training: Training) -> None:
@@ -110,7 +111,6 @@ def _train_steps(training, model_path, state, start, save_every, stop) -> dict:
     trainer, close_gates = training.trainer, training.close_gates
     summary = {}
     total = trainer.config.num_steps
-    save_every = save_every or max(total // 10, 1)
     losses = []  # since the last look at them
     with (
         tqdm.tqdm(total=total, initial=start, unit='step', disable=None, smoothing=0.05) as bar,

@@ -13,5 +13,5 @@ def trained_field(tmp_path_factory):
     data = [worlds.write_dataset(folder / str(i), range(3 * i, 3 * i + 3)) for i in (0, 1)]
     settings = lts.preset('soil_field', members=2, num_steps=6)
     path = str(folder / 'model')
-    lts.train(settings, [lts.Dataset(each) for each in data], path, save_every=settings.num_steps)
+    lts.train(settings, [lts.Dataset(each) for each in data], path)
     return path, data

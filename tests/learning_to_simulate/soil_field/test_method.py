@@ -31,7 +31,7 @@ def folders(tmp_path_factory):
 @pytest.fixture(scope='module')
 def model(folders, tmp_path_factory):
     path, data = str(tmp_path_factory.mktemp('model') / 'field'), [lts.Dataset(f) for f in folders]
-    return lts.train(lts.preset('soil_field', **FEW), data, path, save_every=FEW['num_steps'])
+    return lts.train(lts.preset('soil_field', **FEW), data, path)
 
 
 def weights(path):
@@ -93,7 +93,7 @@ def test_a_killed_training_goes_on_to_the_same_weights(model, folders, tmp_path,
 
 def test_a_training_goes_on_from_the_same_first_weights_alone(model, folders, tmp_path):
     path, own = str(tmp_path / 'next'), registry.train
-    made = own(folders[0], path, model.config, initial_weights=model.path, save_every=6)
+    made = own(folders[0], path, model.config, initial_weights=model.path)
     assert made['training'] and not same(path, model.path)
     assert own(folders[0], path, model.config, initial_weights=model.path) == made
     with pytest.raises(ValueError, match='initial_weights'):
