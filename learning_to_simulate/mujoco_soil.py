@@ -138,7 +138,8 @@ class MujocoSoil:
         self._loads = np.zeros_like(self.wrenches)  # about the places of the tools, axes of lts
         self._slopes: list[Any] = [None] * len(self._names)
         self._damping, self._waited = [Damping() for _ in self._names], np.inf
-        self._worst = dict.fromkeys(self._names, OK)  # of before a tool began anew in the air
+        # The worst status of each tool until it last began a new passage in the air.
+        self._worst = dict.fromkeys(self._names, OK)
 
     def _check_time(self):
         if not 0 < self._model.opt.timestep <= DT * (1 + 1e-6):

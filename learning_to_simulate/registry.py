@@ -67,7 +67,8 @@ class TrainOptions:
     initial_weights: str | None = None  # folder of a soil field that another one starts from
 
     def steps_between_saves(self, num_steps: int) -> int:
-        """Of a training of so many: `save_every`, or a tenth of all, but 100 at least."""
+        """Steps between checkpoints of a training of `num_steps`: `save_every`, else a tenth of
+        them, at least 100."""
         return self.save_every or max(num_steps // 10, 100)
 
 

@@ -49,7 +49,8 @@ RUNS = {
         'tow': 60,
     },
 }
-# Runs for training with seeds from there on: short ones, each with a tool and a soil of its own.
+# Further runs, all of `train`, whose seeds follow those of `RUNS`: short ones, each with a tool and
+# a soil of its own, because what differs between runs is what a model must learn.
 MORE = {'excavation': {'brief': 180, 'gravity': 60}, 'wheel': {}}
 TEST, VALID = 10, 5  # runs of each kind
 
@@ -58,7 +59,7 @@ def split_of(scene: scenes.Scene, case: int | str) -> str | None:
     """Returns 'train', 'valid' or 'test'; None for what the data of record does not hold.
 
     Seeds: of the n runs of a kind every (n // 10)th is test, every (n // 5)th valid, until there
-    are 10 and 5 of them. Cases of the grid: see `GRID`.
+    are 10 and 5 of them; those of `MORE` are for training. Cases of the grid: see `GRID`.
     """
     if isinstance(case, int):
         return next((split for split, cases in GRID[scene.name].items() if case in cases), None)

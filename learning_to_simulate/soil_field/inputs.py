@@ -72,7 +72,7 @@ class Table:
         return sum(row.columns for row in self.rows)
 
     def names(self) -> set[str]:
-        """Of all operands."""
+        """The names in all operands."""
         return {name for row in self.rows for name in names(row.operand)}
 
     def offsets(self) -> dict[tuple[float, ...], list[str]]:

@@ -289,7 +289,7 @@ def scalars(state: Sweep, level: float) -> np.ndarray:
 
 
 def columns(count: int, *values) -> np.ndarray:
-    """float32 [count, S] of scalars, or of arrays [count]."""
+    """float32 [count, S] with one column for each of S values: numbers, or arrays [count]."""
     found = np.empty((count, len(values)), np.float32)
     for column, value in enumerate(values):
         found[:, column] = value

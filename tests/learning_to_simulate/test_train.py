@@ -212,6 +212,13 @@ def test_number_of_steps_is_that_of_both_stages():
     assert presets.make_config('pcg', num_steps=300, unroll_steps=50).single_steps == 250
 
 
+def test_steps_between_checkpoints():
+    """A tenth of all, 100 at least, or what is asked for."""
+    for num_steps, save_every, expected in ((8000, None, 800), (300, None, 100), (8000, 3, 3)):
+        options = registry.TrainOptions(save_every=save_every)
+        assert options.steps_between_saves(num_steps) == expected
+
+
 def test_validation_rollout_that_blows_up_does_not_stop_training(data, tmp_path, monkeypatch):
     """Its errors have no number in the summary; the weights are saved all the same. It is judged on
     valid runs, which are in no batch, by the limit of the force that lies beside the weights."""
