@@ -95,17 +95,18 @@ def test_many_steps_trace_nothing_and_keep_no_memory(made, steppers, kind):
     _reset(stepper, group)
     pose = group.position[0, H - 1, : group.n_rigid]
 
-    def run(count):
+    def kept(count):
+        gc.collect()
+        before = sys.getallocatedblocks()
         for _ in range(count):
             stepper.step(pose).particles()
+        gc.collect()
+        return sys.getallocatedblocks() - before
 
-    run(300)  # TensorFlow fills caches of its own
-    gc.collect()
-    before = sys.getallocatedblocks()
-    run(500)
-    gc.collect()
-    # One Python object kept per step would be 500.
-    assert sys.getallocatedblocks() - before < 250
+    kept(300)  # TensorFlow fills caches of its own
+    # One Python object kept per step would be 200 each time; what other threads of the process
+    # allocate meanwhile comes once.
+    assert min(kept(200) for _ in range(4)) < 100
     if kind == 'tensorflow':
         assert stepper.computing._frame.experimental_get_tracing_count() == 1
 
