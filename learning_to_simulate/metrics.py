@@ -26,12 +26,13 @@ def height_mm(position, truth, n_rigid: int, up: int):
     return rms_mm((error**2).mean(axis=1))
 
 
-def force_errors(force, truth, name: str = 'force') -> dict[str, np.ndarray]:
+def force_errors(force, truth, name: str = 'force', least: float = 0.0) -> dict[str, np.ndarray]:
     """Errors of a force [S, T, D] (N; a torque N m), or of one axis of it, per run.
 
-    With `name` as the first word: `_relative_l2` = |F̂ - F| / |F| over all frames and axes; `_rmse`
-    in N per component; `_mpe` in percent: mean over frames of |F̂| against that of |F|, signed
-    (Usmani & Skonieczny 2023, Table 3.3); `_peak`, the largest |F| of the run, and `_peak_error`,
+    With `name` as the first word: `_relative_l2` = |F̂ - F| / |F| over all frames and axes, where
+    the root mean square of F counts as `least` if it is less; `_rmse` in N per component; `_mpe` in
+    percent: mean over frames of |F̂| against that of |F|, signed (Usmani & Skonieczny 2023, Table
+    3.3); `_peak`, the largest |F| of the run, and `_peak_error`,
     how far that of the prediction is from it, N.
     """
     error = force - truth
@@ -40,7 +41,8 @@ def force_errors(force, truth, name: str = 'force') -> dict[str, np.ndarray]:
         [f(s, axis=1) for s in sizes] for f in (np.mean, np.max)
     )
     with np.errstate(divide='ignore', invalid='ignore'):
-        share = (error**2).sum(axis=(1, 2)) / (truth**2).sum(axis=(1, 2))
+        square = np.maximum((truth**2).sum(axis=2).mean(axis=1), least**2)
+        share = (error**2).sum(axis=2).mean(axis=1) / square
         return {
             f'{name}_relative_l2': np.sqrt(share),
             f'{name}_rmse': np.sqrt((error**2).mean(axis=(1, 2))),
@@ -58,12 +60,15 @@ def travel_axes(body, up: int) -> tuple[int, int, int]:
     return along, up, across
 
 
-def load_errors(force, truth, axes, torque=None, true_torque=None) -> dict[str, np.ndarray]:
+def load_errors(
+    force, truth, axes, torque=None, true_torque=None, least: float = 0.0
+) -> dict[str, np.ndarray]:
     """Errors of force [S, T, D B], N, on B bodies, and torque [S, T, D], N m, or None, as a whole
     and by axis of `travel_axes`, per run, as `force_errors`: of `force`; of `drawbar`, the force
-    along the way; of `vertical`; of `torque`, and of `pitch`, the torque in the plane of travel."""
+    along the way; of `vertical`; of `torque`, and of `pitch`, the torque in the plane of travel.
+    The whole force counts as at least `least`."""
     along, up, across = axes
-    found = force_errors(force, truth)
+    found = force_errors(force, truth, least=least)
     for name, axis in (('drawbar', along), ('vertical', up)):
         found |= force_errors(force[..., axis::3], truth[..., axis::3], name)
     if torque is not None and true_torque is not None:

@@ -78,6 +78,16 @@ def test_errors_are_those_of_the_arrays(judged):
         assert row['status'] == 'ok' and row['flagged_share'] == 0
 
 
+def test_a_run_without_a_load_counts_as_one_of_five_newtons_of_the_field():
+    run = worlds.run(17)
+    none = run._replace(force=0.0 * run.force)
+    of_field = run.tool.units(run.soil)[0]
+    force = np.full((len(run.pose) - H, 3), of_field) * [3.0, 4.0, 0.0]
+    assert evaluation.load_errors(none, force)['force_relative_l2'] == pytest.approx(1.0)
+    heavy = none._replace(soil=dataclasses.replace(run.soil, density=2 * run.soil.density))
+    assert evaluation.load_errors(heavy, force)['force_relative_l2'] == pytest.approx(0.5)
+
+
 def test_bounds_hold_on_the_runs_that_they_are_made_of(judged):
     runs, results, summary = judged
     rows = summary['runs']['model']
