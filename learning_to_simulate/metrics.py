@@ -61,7 +61,7 @@ def travel_axes(body, up: int) -> tuple[int, int, int]:
 
 
 def load_errors(
-    force, truth, axes, torque=None, true_torque=None, least: float = 0.0
+    force, truth, axes, torque=None, true_torque=None, *, least: float = 0.0
 ) -> dict[str, np.ndarray]:
     """Errors of force [S, T, D B], N, on B bodies, and torque [S, T, D], N m, or None, as a whole
     and by axis of `travel_axes`, per run, as `force_errors`: of `force`; of `drawbar`, the force

@@ -1,9 +1,9 @@
 """How well `lts fit-soil` finds known soils: runs of the solver, and a published wheel.
 
-calibration: each valid run of an operator or in a soil of its own (kind `soils`) alone, with its
-density given and without. The errors found here set `fit_soil.OFF`; runs of
-training would flatter the model.
-single: each test run of kind `soils`, whose soil no other run has. three: all sets of three test
+calibration: each valid run of an operator or in a soil of its own (kinds `soils` and `brief`, these
+with a tool of their own, too) alone, with its density given and without. The errors found here set
+`fit_soil.OFF`; runs of training would flatter the model.
+single: each test run of these two kinds, whose soil no other run has. three: all sets of three test
 runs of an operator in the usual soil. So no run that judges has told what a spread is. unseen soil:
 all runs of a dataset of `--fresh`, three paths in one soil, whose seeds nobody has seen.
 wheel: the smooth wheel of Ding et al. (2011), J. Terramechanics 48, 27 (as digitised in
@@ -35,6 +35,7 @@ from pca_tools import dataset, files
 from reports import markdown, record
 
 DATA = 'datasets/excavation', 'datasets/excavation_more'
+SOILS = 'soils', 'brief'
 OPERATOR = ('smooth', 'stops', 'reverse', 'lift', 'disturbed', 'halts')
 KINDS = ('calibration', 'single', 'three')
 # Slip, drawbar N, sinkage m; load N, friction angle and density of the sand (cohesion 0.25 kPa).
@@ -86,7 +87,7 @@ def known_soils(field) -> dict[str, list[dict]]:
     soils, usual = (
         {split: [n for (of, n), c in cases.items() if of == split and c['kind'] in kinds]
          for split in ('valid', 'test')}
-        for kinds in (('soils',), OPERATOR)
+        for kinds in (SOILS, OPERATOR)
     )  # fmt: skip
     sets: list[tuple[str, tuple]] = [
         *(('calibration', (n,)) for n in soils['valid'] + usual['valid']),

@@ -2,8 +2,9 @@
 
 All times are of the path of one driven test run, on one thread, all methods in turns: of the force
 of a frame, and of the force and all particles that the networks' dataset follows. Whole rollouts by
-TensorFlow; in C step by step from Python. The solver's time stands in the dataset. Errors are the
-means of a JSON of `reports protocol`; those of fewer members of a soil field are taken here.
+TensorFlow; in C step by step from Python. The solver's time is given, or is that of the dataset,
+which another processor may have made. Errors are the means of a JSON of `reports protocol`; those
+of fewer members of a soil field are taken here.
 
 Examples:
     python -m reports times --data_path=datasets/excavation \\
@@ -263,6 +264,10 @@ def define_flags() -> None:
     flags.DEFINE_string('soil_field', None, 'Folder of a soil field.')
     flags.DEFINE_multi_string('model', [], 'NAME=FOLDER of other methods, as in the protocol.')
     flags.DEFINE_multi_string('training_s', [], 'NAME=SECONDS of CPU that its training took.')
+    flags.DEFINE_float(
+        'solver_ms', None, 'CPU time of a frame of the solver on this processor; default: the '
+        'median of the test runs that state it.',
+    )  # fmt: skip
     flags.DEFINE_multi_string('budget_ms', [], 'Only picks, from the JSON that is there.')
     flags.DEFINE_string('output_path', None, 'Path of .json and .png, without it.', required=True)
 
@@ -286,7 +291,7 @@ def main(values) -> None:
     found = {
         'schema_version': SCHEMA_VERSION,
         **record.provenance(1),
-        'solver_ms': solver_ms(first),
+        'solver_ms': values.solver_ms or solver_ms(first),
         'frame_s': dataset.read_metadata(first)['dt'],
         'training_s': {name: float(seconds) for name, seconds in trained.items()},
         'runs_s': {name: runs_s(folders) for name, folders in data.items()},

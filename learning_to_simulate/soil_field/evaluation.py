@@ -214,7 +214,7 @@ def load_errors(run: Run, force, torque=None) -> dict[str, float]:
         for x in (force, run.force[H:], torque, None if torque is None else run.torque[H:])
     )
     least = samples.LEAST_FORCE * run.tool.units(run.soil)[0]
-    found = metrics.load_errors(force, truth, (0, 1, 2), *torques, least)
+    found = metrics.load_errors(force, truth, (0, 1, 2), *torques, least=least)
     found |= metrics.force_errors(force[..., 2:], truth[..., 2:], 'side')  # type: ignore[index]
     return {name: float(value[0]) for name, value in found.items()}
 

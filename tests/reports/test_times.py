@@ -49,7 +49,7 @@ def test_table_and_picture_join_errors_and_times(recorded, tmp_path, monkeypatch
     values = SimpleNamespace(
         data_path='data,wide', protocol=protocol, soil_field='folder',
         model=['mlp_driven=folder'], training_s=['soil field=98', 'mlp_driven=6'], budget_ms=[],
-        output_path=str(tmp_path / 'times'),
+        solver_ms=None, output_path=str(tmp_path / 'times'),
     )  # fmt: skip
     times.main(values)
     lines = times.table(f'{values.output_path}.json').splitlines()[2:]
@@ -68,6 +68,10 @@ def test_table_and_picture_join_errors_and_times(recorded, tmp_path, monkeypatch
     assert lines[0] == '| 1 |  |  |  |  |'
     second = 'soil field, 2 of 2 members, C'
     assert lines[1] == f'| 2 | {second} | 0.2 | {second} | 1.5 |' and lines[2][3:] == lines[1][3:]
+    values.solver_ms = 440.0  # of this processor
+    times.main(values)
+    lines = times.table(f'{values.output_path}.json').splitlines()[2:]
+    assert lines[0] == '| solver |  |  | 440 | 440 | 1 |' and lines[1].endswith('| 2 | 220 |')
     values.model = ['other=folder']
     with pytest.raises(ValueError, match=r"no \['other'\]"):
         times.main(values)
