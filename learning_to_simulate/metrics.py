@@ -30,10 +30,10 @@ def force_errors(force, truth, name: str = 'force', least: float = 0.0) -> dict[
     """Errors of a force [S, T, D] (N; a torque N m), or of one axis of it, per run.
 
     With `name` as the first word: `_relative_l2` = |F̂ - F| / |F| over all frames and axes, where
-    the root mean square of F counts as `least` if it is less; `_rmse` in N per component; `_mpe` in
-    percent: mean over frames of |F̂| against that of |F|, signed (Usmani & Skonieczny 2023, Table
-    3.3); `_peak`, the largest |F| of the run, and `_peak_error`,
-    how far that of the prediction is from it, N.
+    |F| counts as at least that of a constant force `least`, N; `_rmse` in N per component;
+    `_mpe` in percent: mean over frames of |F̂| against that of |F|, signed (Usmani & Skonieczny
+    2023, Table 3.3); `_peak`, the largest |F| of the run, and `_peak_error`, how far that of the
+    prediction is from it, N.
     """
     error = force - truth
     sizes = [np.linalg.norm(f, axis=-1) for f in (force, truth)]
@@ -60,15 +60,12 @@ def travel_axes(body, up: int) -> tuple[int, int, int]:
     return along, up, across
 
 
-def load_errors(
-    force, truth, axes, torque=None, true_torque=None, *, least: float = 0.0
-) -> dict[str, np.ndarray]:
+def load_errors(force, truth, axes, torque=None, true_torque=None) -> dict[str, np.ndarray]:
     """Errors of force [S, T, D B], N, on B bodies, and torque [S, T, D], N m, or None, as a whole
     and by axis of `travel_axes`, per run, as `force_errors`: of `force`; of `drawbar`, the force
-    along the way; of `vertical`; of `torque`, and of `pitch`, the torque in the plane of travel.
-    The whole force counts as at least `least`."""
+    along the way; of `vertical`; of `torque`, and of `pitch`, the torque in the plane of travel."""
     along, up, across = axes
-    found = force_errors(force, truth, least=least)
+    found = force_errors(force, truth)
     for name, axis in (('drawbar', along), ('vertical', up)):
         found |= force_errors(force[..., axis::3], truth[..., axis::3], name)
     if torque is not None and true_torque is not None:

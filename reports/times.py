@@ -266,7 +266,7 @@ def define_flags() -> None:
     flags.DEFINE_multi_string('training_s', [], 'NAME=SECONDS of CPU that its training took.')
     flags.DEFINE_float(
         'solver_ms', None, 'CPU time of a frame of the solver on this processor; default: the '
-        'median of the test runs that state it.',
+        'median of the test runs that state it.', lower_bound=0.0,
     )  # fmt: skip
     flags.DEFINE_multi_string('budget_ms', [], 'Only picks, from the JSON that is there.')
     flags.DEFINE_string('output_path', None, 'Path of .json and .png, without it.', required=True)

@@ -207,14 +207,15 @@ def still(run: Run) -> dict:
 
 def load_errors(run: Run, force, torque=None) -> dict[str, float]:
     """`metrics.load_errors` of a force [T - H, 3] (N) and torque (N m), and those of the force
-    across the way as `side`."""
+    across the way as `side`. A whole force below `LEAST_FORCE` of the field counts as that."""
     place = place_of(run.pose[0])
     force, truth, *torques = (
         None if x is None else (np.asarray(x, np.float64) @ place.axes.T)[None]
         for x in (force, run.force[H:], torque, None if torque is None else run.torque[H:])
     )
+    found = metrics.load_errors(force, truth, (0, 1, 2), *torques)
     least = samples.LEAST_FORCE * run.tool.units(run.soil)[0]
-    found = metrics.load_errors(force, truth, (0, 1, 2), *torques, least=least)
+    found |= metrics.force_errors(force, truth, least=least)
     found |= metrics.force_errors(force[..., 2:], truth[..., 2:], 'side')  # type: ignore[index]
     return {name: float(value[0]) for name, value in found.items()}
 

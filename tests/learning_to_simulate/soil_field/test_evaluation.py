@@ -80,10 +80,12 @@ def test_errors_are_those_of_the_arrays(judged):
 
 def test_a_run_without_a_load_counts_as_one_of_five_newtons_of_the_field():
     run = worlds.run(17)
-    none = run._replace(force=0.0 * run.force)
+    none = run._replace(force=0.0 * run.force)  # its parts have no number
     of_field = run.tool.units(run.soil)[0]
     force = np.full((len(run.pose) - H, 3), of_field) * [3.0, 4.0, 0.0]
-    assert evaluation.load_errors(none, force)['force_relative_l2'] == pytest.approx(1.0)
+    errors = evaluation.load_errors(none, force)
+    assert errors['force_relative_l2'] == pytest.approx(1.0)
+    assert not np.isfinite(errors['drawbar_relative_l2'])
     heavy = none._replace(soil=dataclasses.replace(run.soil, density=2 * run.soil.density))
     assert evaluation.load_errors(heavy, force)['force_relative_l2'] == pytest.approx(0.5)
 
