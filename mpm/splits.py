@@ -38,6 +38,7 @@ RUNS = {
         'backdrag': 60,
         'brief': 60,
         'gravity': 40,
+        'scoop': 30,
     },
     'wheel': {
         **dict.fromkeys(('slip', 'stops', 'reverse', 'load'), 30),
@@ -51,7 +52,7 @@ RUNS = {
 }
 # Further runs, all of `train`, whose seeds follow those of `RUNS`: short ones, each with a tool and
 # a soil of its own, because what differs between runs is what a model must learn.
-MORE = {'excavation': {'brief': 180, 'gravity': 60}, 'wheel': {}}
+MORE = {'excavation': {'brief': 180, 'gravity': 60, 'scoop': 30}, 'wheel': {}}
 TEST, VALID = 10, 5  # runs of each kind
 
 

@@ -13,6 +13,9 @@ from mpm.columns import ELASTIC, JIT, index, row
 # With an array of float32 these keep a kernel in float32; with one of float64 they are exact.
 NONE, ONE, TWO = np.float32(0.0), np.float32(1.0), np.float32(2.0)
 TINY = 1e-30  # keeps 0 / 0 away, in float32 too
+# Most strain of volume of soil that has come apart: a grain that flies alone keeps its velocity
+# gradient, so without a limit V / V0 would grow e-fold again and again, to infinity.
+LOOSEST = 99.0
 
 
 @numba.njit(inline='always', **JIT)
@@ -55,7 +58,7 @@ def update_stress(block, start, count, dt, soil, damping_time):
     e, gradient, stress = block.elastic, block.gradient, block.stress
     real = e.dtype.type
     h, g1, step = real(0.5 * dt), real(soil.shear_modulus * dt), real(dt)
-    bulk, tiny = real(soil.bulk_modulus), real(TINY)
+    bulk, tiny, loosest = real(soil.bulk_modulus), real(TINY), real(LOOSEST)
     rate = soil.shear_modulus * soil.inertial_number_0 * dt
     rate = real(rate / (math.sqrt(soil.grain_density) * soil.grain_diameter))
     lead, a_third = real(damping_time / dt), real(1.0 / 3.0)
@@ -70,7 +73,7 @@ def update_stress(block, start, count, dt, soil, damping_time):
         strain = e[row(at, 6)]
         before = pressure_of(strain, bulk)
         # V / V0 grows by the factor 1 + dt tr L.
-        strain += step * trace * strain + step * trace
+        strain = min(strain + step * trace * strain + step * trace, loosest)
         e[row(at, 6)] = strain
         p = pressure_of(strain, bulk)
         # Spin W = (L - Lt) / 2; the stress turns with it: W s - s W.

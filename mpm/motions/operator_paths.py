@@ -24,6 +24,8 @@ backdrag: a short run: a cut whose heap is then drawn back: the blade goes over 
 brief: a short run, with a tool and a soil of its own, at any place of the bin: straight down or
     nearly so, then on, deeper, or out and down again.
 gravity: as brief, under a gravity between that of the Moon and ten times that of the Earth.
+scoop: a bucket cuts, curls about a pin over it, lifts what it holds, and dumps that in one to three
+    steps.
 """
 
 import math
@@ -36,7 +38,7 @@ from mpm.motions.drive import Drive, Levels, Track, poses
 
 TURNS = ('smooth', 'stops', 'reverse', 'lift', 'disturbed')  # of seeds, if no kind is named
 KINDS = (*TURNS, 'halts', 'beside', 'soils', 'tools', 'trench', 'spread', 'backdrag',
-         'brief', 'gravity')  # fmt: skip
+         'brief', 'gravity', 'scoop')  # fmt: skip
 BRIEF = ('brief', 'gravity')  # with a tool and a soil of their own
 BINS = {'beside': 'wide', 'tools': 'wide', 'trench': 'long'}  # the others: the scene's own
 MAX_DEPTH, MIN_DEPTH = 0.10, 0.01  # m, of the edge below the flat surface
@@ -45,6 +47,9 @@ MAX_RISE = 0.15  # m/s up or down
 MAX_TURN = 60.0  # deg/s
 LEANS, STEEP_LEANS = (0.0, 45.0), (25.0, bodies.MAX_LEAN_DEG)  # deg, of a blade
 BUCKET_LEANS = (-35.0, 5.0)  # deg, of a tool with an outline: its edge goes in first
+CURLS = (0.0, 60.0)  # deg, of a bucket that lifts what it holds
+SCOOP_RADII = (0.07, 0.11)  # m, of its back
+PIN = (1.5, 2.5)  # place of the pin over its edge, behind and up, in radii of its back
 NARROW_WIDTH = 0.30  # m; the other width is that of the published blade
 # Soil that is squeezed against a wall answers with ten times the force of the open field. This room
 # stays free in front of the blade, for its heap, and behind it wherever its back pushes soil (as it
@@ -62,7 +67,7 @@ TRENCH = (1.2, 1.5)  # m
 LAYERS = 0.003, 0.038  # m, of the edge above the bed
 LEAST_SPREAD_FRAMES, LEAST_BACKDRAG = 40, 0.12  # m
 # Of the other kinds: the scene's own, or `_trench`'s.
-FRAMES = {'spread': 220, 'backdrag': 290, 'brief': 110, 'gravity': 110}
+FRAMES = {'spread': 220, 'backdrag': 290, 'brief': 110, 'gravity': 110, 'scoop': 400}
 # Of drawn tools.
 WIDTHS = (0.15, 0.60)  # m
 BRIEF_WIDTHS = (0.15, 0.40)  # m, in a bin that is half as wide
@@ -122,10 +127,12 @@ def operator_drive(
     """
     rng = np.random.default_rng([seed, KINDS.index(kind), 1])
     parameters = {}
-    if kind in ('soils', *BRIEF):
+    if kind in ('soils', *BRIEF) or (kind == 'scoop' and rng.random() < 0.5):
         parameters['ground'] = _draw_ground(rng, kind)
     if kind in ('tools', *BRIEF) and tool is None:
         tool = _draw_tool(rng, WIDTHS if kind == 'tools' else BRIEF_WIDTHS)
+    if kind == 'scoop' and tool is None:
+        tool = bucket(rng.uniform(*SCOOP_RADII), rng.uniform(*BRIEF_WIDTHS), rng.random() < 0.7)
     drive, drawn = checks.first_that_fits(
         lambda: _draw(rng, scene, kind, tool), scene.bin, f'{kind!r}, seed {seed}',
         lambda *drawn: _is_fine(scene.bin, *drawn),
@@ -169,7 +176,12 @@ def _draw(rng, scene, kind, tool) -> tuple[Drive, dict]:
     else:
         clearance = grid.TIP_CLEARANCE
     story = _Story(rng, -clearance, rng.uniform(*leans), leans)
-    plot = kind
+    pin = np.zeros(2)
+    if kind == 'scoop':
+        # The way that is drawn is that of a pin, told as that of the edge at this lean.
+        story = _Story(rng, -clearance, rng.uniform(-30.0, -8.0), leans)
+        pin = 0.42 * np.ptp(body.outline[:, 1]) * np.array(PIN)
+    hung, plot = math.radians(-story.last('lean')), kind
     if kind in ('soils', 'tools'):
         plot = rng.choice(TURNS)
     offsets, lead_in = [0.0], 0  # across, of each pass, the recorded one last
@@ -199,7 +211,12 @@ def _draw(rng, scene, kind, tool) -> tuple[Drive, dict]:
         times = clock(times)
         x = start_x - speed.integral(times)
         angle = np.radians(-lean(times))
-        y = box.surface - bodies.lowest(body, angle) - depth(times)
+        if kind == 'scoop':
+            x += _turned(pin, hung)[0] - _turned(pin, angle)[0]
+            y = box.surface - bodies.lowest(body, np.array(hung)) - depth(times)
+            y += _turned(pin, hung)[1] - _turned(pin, angle)[1]
+        else:
+            y = box.surface - bodies.lowest(body, angle) - depth(times)
         return poses(times, x, y, angle, across(times))
 
     frames = math.ceil(seconds * scenes.FRAME_RATE - 1e-6)
@@ -214,6 +231,12 @@ def _draw(rng, scene, kind, tool) -> tuple[Drive, dict]:
         'lean_max_deg': round(float(lean(shown).max()), 4),
     }
     return Drive(body, pose, lead_in=lead_in), parameters
+
+
+def _turned(point, angle):
+    """x and y of a point [2] turned by angles (rad)."""
+    sine, cosine = np.sin(angle), np.cos(angle)
+    return cosine * point[0] - sine * point[1], sine * point[0] + cosine * point[1]
 
 
 def _offsets(rng, width) -> list:
@@ -240,6 +263,8 @@ def _is_fine(box, drive, parameters) -> bool:
     times = np.arange(frames + 1 + drive.lead_in) / scenes.FRAME_RATE
     x, y, angle, _ = drive.pose(times).T
     depth = box.surface - y - bodies.lowest(drive.body, angle)
+    if plot == 'scoop':  # the heel may press, as that of an excavator does
+        return x.min() >= scenes.CORNER + FRONT_ROOM
     if plot in BRIEF:  # near walls as well
         return x.min() >= scenes.CORNER + FRONT_ROOM / 2
     if x.min() < scenes.CORNER + FRONT_ROOM or _is_squeezing(x, y, angle, depth, box):
@@ -357,6 +382,22 @@ def _brief(rng, story, end) -> None:
         story.go(rng.uniform(0.2, 0.5), _cut_speed(rng), _cut_depth(rng))
 
 
+def _scoop(rng, story, end) -> None:
+    story.go(rng.uniform(0.4, 0.6), 0.05, rng.uniform(0.02, 0.06), story.last('lean'))
+    story.go(rng.uniform(0.8, 1.8), rng.uniform(0.08, MAX_SPEED), lean=story.last('lean'))
+    curl = rng.uniform(*CURLS)
+    # In the soil, or while it lifts.
+    if rng.random() < 0.5:
+        story.go(rng.uniform(0.3, 0.6), 0.03, lean=rng.uniform(story.last('lean'), curl))
+    story.go(rng.uniform(0.4, 0.8), 0.0, -rng.uniform(0.04, 0.08), curl)
+    story.go(rng.uniform(0.2, 0.5), rng.uniform(-0.08, 0.08), lean=curl)
+    story.wait(0.2)
+    for share in sorted(rng.random(rng.integers(0, 3)), reverse=True):
+        story.go(0.3, 0.0, lean=-40.0 + share * (curl + 40.0))
+        story.wait(rng.uniform(0.2, 0.5))
+    story.go(max(end - 0.5 - story.time, 0.3), 0.0, lean=-40.0)
+
+
 def _trench(rng, story, end) -> None:
     """One long cut of changing speed and depth, as long as it takes."""
     story.go(rng.uniform(0.6, 1.0), _cut_speed(rng), rng.uniform(0.02, 0.06))
@@ -370,7 +411,7 @@ def _trench(rng, story, end) -> None:
 PLOTS = {
     'smooth': _smooth, 'halts': _smooth, 'stops': _stops, 'reverse': _reverse, 'lift': _lift,
     'spread': _spread, 'backdrag': _backdrag, 'brief': _brief, 'gravity': _brief,
-    'trench': _trench,
+    'trench': _trench, 'scoop': _scoop,
 }  # fmt: skip
 
 

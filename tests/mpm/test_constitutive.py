@@ -87,3 +87,13 @@ def test_soil_that_comes_apart_carries_nothing():
     row = particle(0.9999, 30.0, -10.0, -20.0, 5.0, 0.0, 0.0)
     acting = update(row, [10.0, 0.0, 0.0] * 3, 1e-4)
     assert not acting.any() and not row[columns.S : columns.S + 6].any()
+
+
+def test_volume_of_a_lone_grain_does_not_overflow():
+    """It once did after 0.4 s of flight, and NaN spread from there."""
+    row = particle(1.0)
+    apart = update(row, np.diag([500.0, 0.0, 0.0]), 1e-3, steps=2000)
+    assert not apart.any() and row[columns.VOLUME_RATIO] == 1.0 + stress.LOOSEST
+    # And comes together again.
+    packed = update(row, np.diag([-500.0, 0.0, 0.0]), 1e-3, steps=20)
+    assert row[columns.VOLUME_RATIO] < 1.0 and packed[0] < 0.0
