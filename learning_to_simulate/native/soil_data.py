@@ -13,6 +13,7 @@ from learning_to_simulate.soil_field import (
     inputs,
     network,
     passage,
+    payload,
     place,
     sweep,
     terrain,
@@ -43,6 +44,10 @@ _CONSTANTS = {
     passage: (
         'AHEAD', 'EVEN', 'MAX_STEP', 'SET_DOWN', 'FACTOR', 'FLAT', 'STEEP', 'RELAID',
         'EVEN_SLOPE', 'UNDER', 'CROSSED',
+    ),
+    payload: (
+        'SHELL', 'BACK_HEIGHT', 'BACK_REACH', 'SLIPS', 'SLIPS_OUT', 'TAKEN',
+        'CURLED', 'TAKEN_ALONG', 'TAKEN_ACROSS', 'FALLS_AHEAD', 'FALLS_APART',
     ),
     place: ('N_BESIDE', 'BESIDE_WIDTH', 'ACROSS', 'BESIDE'),
     sweep: (
@@ -83,6 +88,7 @@ def values(field) -> dict:
         'rim': tools.Wheel.RIM,
         'lean_length': tools.LEAN,
         'below_tool': passage.BELOW,
+        'inside': payload.INSIDE.ravel(),
         'lifted': tool.lifted,
         'turned_back': passage.BACK,
         'strikes': tool.strikes,

@@ -99,7 +99,7 @@ class CEngine(_Tool):
         # Every step uses the same memory: an address costs a microsecond.
         self._pose, self._result = np.empty(7), library.structures()['lts_soil_result']()
         self._at = self._pose.ctypes.data, ctypes.addressof(self._result)
-        size = 20  # pose, force, torque, spread and bound, which begin a result
+        size = 21  # pose, force, torque, spread, bound and payload, which begin a result
         self._numbers = np.ctypeslib.as_array(
             ctypes.cast(self._at[1], ctypes.POINTER(ctypes.c_double)), (size,)
         )
@@ -192,7 +192,7 @@ class CEngine(_Tool):
         now = self._judgement(result.now) if result.now.status else OK
         worst = self._judgement(result.worst) if result.status else OK
         force, torque, spread = numbers[7:10], numbers[10:13], numbers[13:19]
-        return engine.SoilFrame(pose, force, torque, worst, now, spread, float(numbers[19]))
+        return engine.SoilFrame(pose, force, torque, worst, now, spread, *map(float, numbers[19:]))
 
     def _judgement(self, found):
         text = ctypes.create_string_buffer(200)

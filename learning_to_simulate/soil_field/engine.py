@@ -16,6 +16,7 @@ from learning_to_simulate.soil_field import sweep
 from learning_to_simulate.soil_field.field import APART
 from learning_to_simulate.soil_field.passage import Passage
 from learning_to_simulate.soil_field.place import Place, checked_pose, place_of
+from learning_to_simulate.soil_field.tools import STANDARD_DENSITY, STANDARD_GRAVITY
 
 # A pose that is farther than this from the one before is a jump, m/s and rad/s.
 FASTEST, FASTEST_TURN = 3.0, 20.0
@@ -35,6 +36,7 @@ class SoilFrame(NamedTuple):
       spread: float64 [6], standard deviation over members of force and torque along the ground of
         the place, square to it, and across.
       bound: N, of the error of the force, see `SoilField.bound`; NaN where it is not known.
+      payload: m3 of soil in a bucket; its weight is part of force and torque.
     """
 
     pose: np.ndarray
@@ -44,6 +46,7 @@ class SoilFrame(NamedTuple):
     now: Judgement
     spread: np.ndarray
     bound: float
+    payload: float = 0.0
 
     @property
     def status(self) -> RolloutStatus:
@@ -127,6 +130,8 @@ class TfEngine:
         pose = unit_pose(pose)
         refuse_floor(pose, self._tool, self._terrain)
         place_of(pose)  # refuses what would leave the tool without a passage
+        if self._passage is not None:
+            self._passage.give_and_take(keeps=False)
         self._finish()
         self._passage, self._number = Passage(self._terrain, self._tool, pose, self._rise), 0
         self._frame = self._seen(self._passage, pose, OK)
@@ -146,6 +151,7 @@ class TfEngine:
         self._passage, self._frame = passage, frame
         if len(passage.gone):
             self._terrain.settle(passage.gone, keep=passage.surroundings()[0])
+        passage.give_and_take()
         self._number += 1
         return frame
 
@@ -176,10 +182,9 @@ class TfEngine:
             passage = passage.renewed(last.pose)
             gone = passage.gone
         (_, yaw, _), aside = passage.place.turns(pose), passage.place.local(pose[:3])[2]
-        in_air = not (last.force.any() or last.torque.any())
         leaves = abs(yaw) > TURNED or abs(aside) / passage.scale > MOVED or passage.is_over
-        if in_air and leaves:
-            fresh = Passage(self._terrain, self._tool, pose, self._rise)
+        if leaves and not passage.bears:
+            fresh = Passage(self._terrain, self._tool, pose, self._rise, brought=passage.payload)
             if not np.any(self._field.loads(fresh.frame, 1)):
                 return fresh, self._seen(fresh, pose, last.judgement)
         passage.step(pose, dt)
@@ -215,19 +220,25 @@ class TfEngine:
     def _seen(self, passage, pose, before):
         frame = passage.frame
         loads = self._field.loads(frame, self._members)[:, 0].astype(np.float64) * self._units
-        bears = None  # a blade on its head may touch soil without a load
+        bears, held = None, passage.held  # a blade on its head may touch soil without a load
         if loads.any():
-            share = self._field.contact(passage, self._members)
+            share = self._field.contact(passage, self._members) * (1.0 - held.replaces)
             loads, bears = share * loads, share > 0
         mean = loads.mean(axis=0)
+        passage.bears = bool(mean.any())
         values = self._field.judged(frame, self._conditions(passage, pose)[None], bears)
         now = self._field.limits.judge(values, self._number, bool(np.isfinite(mean).all()))
         force, torque = passage.place.unlaid(mean[:3]), passage.place.unlaid(mean[3:])
+        weight = STANDARD_DENSITY * STANDARD_GRAVITY * held.weighs * self._tool.width
+        weight /= passage.scale
+        force[1] -= weight * self._units[0]
+        torque -= weight * held.middle * self._units[3] * passage.place.across
         spread = loads.std(axis=0)
         for values in (force, torque, spread):
             values.setflags(write=False)
         bound = self._field.bound(mean[:3], spread[:3], self._units[0], self._members)
-        return SoilFrame(pose, force, torque, worse(before, now), now, spread, bound)
+        volume = held.area * passage.scale**2 * self._tool.width
+        return SoilFrame(pose, force, torque, worse(before, now), now, spread, bound, volume)
 
     def clone(self, terrain) -> 'TfEngine':
         """The same at the same point, on a clone of the terrain."""

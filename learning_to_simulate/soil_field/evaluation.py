@@ -125,7 +125,7 @@ def _refused(run, name, reason):
 def of_rollout(rollout: TerrainRollout, run: Run) -> dict:
     found = load_errors(run, rollout.force[H:], rollout.torque[H:])
     found |= terrain_errors(run, rollout.heights) | soil_errors(run, rollout.particles)
-    found |= _bound_figures(rollout, run)
+    found |= _bound_figures(rollout, run) | payload_errors(rollout, run)
     flagged = np.mean([status != RolloutStatus.OK for status in rollout.frame_status])
     return (
         found
@@ -157,6 +157,20 @@ def _bound_figures(rollout, run):
         found['bound_kept'] = float((off[inside] <= limit).mean())
         found['bound_newton'] = float(limit.mean())
     return found
+
+
+def payload_errors(rollout: TerrainRollout, run: Run) -> dict[str, float]:
+    """What a bucket holds in the air, by its weight, litres; {} of a run that lifts none."""
+    high = run.before().heights.max() + run.tool.scale * run.tool.lifted
+    over = run.pose[:, 1] - run.tool.radius > high
+    over[: int(np.argmax(~over))] = False  # before it has dug
+    if not getattr(run.tool, 'bucket', 0.0) or not over.any():
+        return {}
+    held, true = (
+        -1e3 * float(force[over, 1].mean()) / (run.soil.density * run.soil.gravity)
+        for force in (rollout.force, run.force)
+    )
+    return {'payload_litre': held, 'true_payload_litre': true, 'payload_error_litre': held - true}
 
 
 def _inside(rollout) -> np.ndarray:

@@ -3,10 +3,11 @@
 import copy
 import math
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
-from learning_to_simulate.soil_field import sweep
+from learning_to_simulate.soil_field import payload, sweep
 from learning_to_simulate.soil_field.place import BESIDE, Place, place_of, strips_of
 from learning_to_simulate.soil_field.terrain import Terrain
 from learning_to_simulate.soil_field.tools import STANDARD_GRAVITY, Tool
@@ -28,6 +29,16 @@ FLAT, STEEP, EVEN_SLOPE, RELAID = 0.01, 0.27, 0.005, 0.04
 FACTOR = 0.05, 4.0
 
 
+class Held(NamedTuple):
+    """Soil in a bucket, m2 of the field; what weighs on that, more while it lifts; how far ahead of
+    the pose its middle lies, m of the field; share of the load that it replaces."""
+
+    area: float = 0.0
+    weighs: float = 0.0
+    middle: float = 0.0
+    replaces: float = 0.0
+
+
 class Passage:
     """The sweep of a tool over a terrain.
 
@@ -46,6 +57,7 @@ class Passage:
       set_down: whether the tool comes from above; else it stands in soil that it has not moved.
       place: None for that of the pose.
       lays: whether to see even slopes as level.
+      brought: m2 of the field, soil that a bucket holds already.
 
     Attributes:
       place, scale, strips: of the passage; from one strip it goes over to all of them where even
@@ -53,6 +65,8 @@ class Passage:
       state: `sweep.Sweep`.
       level: height that those of frames count from, m of the field.
       gone: cells that the bins have left in the last step, to be settled.
+      payload: m2 of the field, soil in the bucket when it was last in the air.
+      bears: whether the soil bears on the tool in the newest frame.
 
     Raises:
       ValueError: see `place_of`.
@@ -61,6 +75,7 @@ class Passage:
     def __init__(
         self, terrain: Terrain, tool: Tool, pose, rise: Callable | None = None,
         set_down: bool = True, place: Place | None = None, lays: bool = True,
+        brought: float = 0.0,
     ):  # fmt: skip
         self.terrain, self.tool, self.scale = terrain, tool, tool.scale
         self._rise = rise
@@ -98,6 +113,8 @@ class Passage:
         self._owed = self._owed_at = 0.0
         self._see()
         self._is_stale = set_down
+        self.payload, self.bears = brought, True
+        self._taken = 0.0  # m2 of the field, taken up in the last step
         self.is_lifted = self.lifts(self._pose)
 
     def seen(self, pose) -> np.ndarray:
@@ -108,15 +125,17 @@ class Passage:
 
     def lifts(self, pose) -> bool:
         """Whether a tool at a pose as it is `seen` is by `Tool.lifted`, where it has turned back at
-        all, over the highest terrain before it that lies under it, and over the mean of all in
-        sight."""
-        surface = self.state.surface[self.strips.under]
-        is_under = np.abs(self.state.origin + sweep.OFFSETS - pose[0]) < UNDER
-        highest = surface[:, is_under].max(initial=surface.mean())
+        all, over the terrain before it."""
         # The paragraph after (22): after a turn back any height above the terrain will do.
         is_back = pose[0] < self.state.foremost[self.strips.under].max() - BACK
-        least = 0.0 if is_back else self.tool.lifted
-        return bool(pose[1] - self._radius > highest + least)
+        return bool(self._over(pose) > (0.0 if is_back else self.tool.lifted))
+
+    def _over(self, pose):
+        """How high a tool at a pose as it is `seen` is over the highest terrain before it that lies
+        under it, and over the mean of all in sight, m of the field."""
+        surface = self.state.surface[self.strips.under]
+        is_under = np.abs(self.state.origin + sweep.OFFSETS - pose[0]) < UNDER
+        return pose[1] - self._radius - surface[:, is_under].max(initial=surface.mean())
 
     @property
     def is_over(self) -> bool:
@@ -138,8 +157,9 @@ class Passage:
         self.update()
         place = self._ground(self.state.surface, self.state.origin)
         other = Passage(
-            self.terrain, self.tool, pose, self._rise, set_down=False, place=place, lays=self._lays
-        )
+            self.terrain, self.tool, pose, self._rise, set_down=False, place=place,
+            lays=self._lays, brought=self.payload,
+        )  # fmt: skip
         # The memory (7) holds directions, which turn with the ground.
         change = np.arctan(place.grade) - np.arctan(self.place.grade)
         (along, up), c, s = self.state.memory[:, :2].T, np.cos(change), np.sin(change)
@@ -238,6 +258,7 @@ class Passage:
         lifts = self.lifts(coming)
         if lifts and not self.is_lifted:
             self.update()  # as the tool leaves it
+            self._taken = self._scooped() if self._room.area else 0.0
         if to != origin:
             self.update()  # the last chance of cells that the bins leave
             if self._looks:
@@ -253,6 +274,72 @@ class Passage:
         if to != origin:
             self._see()
         self._is_stale, self.is_lifted = True, lifts
+
+    @property
+    def held(self) -> 'Held':
+        """What the bucket holds: (28)."""
+        room = self._room
+        holds = min(self.payload + self._taken, room.area)
+        if not room.holds:
+            return Held()
+        if self.is_lifted or not sweep.all_cut(self.state).any():
+            return Held(holds, holds, room.middle, room.holds * self.is_lifted)
+        share = min(max(self._over(self._pose) / self.tool.lifted, 0.0), 1.0)
+        more = share * self._scooped() if share > 0 else 0.0
+        return Held(holds, holds + more, room.middle, room.holds * share)
+
+    @property
+    def _room(self):
+        if self._rise is None:
+            return payload.Room()
+        return self.tool.room(self._lean, self.terrain.soil)
+
+    def _scooped(self):
+        """m2 of the field that the bucket takes up where it leaves the soil now: (28)."""
+        places = np.stack(np.meshgrid(
+            self.state.tip - self.state.origin - self._inside * payload.TAKEN_ALONG,
+            self.tool.width / self.scale / 2 * np.array(payload.TAKEN_ACROSS), indexing='ij',
+        ), axis=-1).reshape(-1, 2)  # fmt: skip
+        rise = np.asarray(self._rise(self, places), np.float64)  # type: ignore[misc]
+        over = np.maximum(rise + self._cut_at(places[:, 0]), 0.0)
+        most = payload.kept(self._lean) * self._inside * float(over.mean())
+        return min(max(self._room.area - self.payload, 0.0), most)
+
+    @property
+    def _lean(self):
+        return float(self._pose[2] + np.arctan(self.place.grade))
+
+    @property
+    def _inside(self):
+        return payload.BACK_REACH * payload.radius(self.tool.length / self.scale)  # type: ignore[attr-defined]
+
+    def _cut_at(self, u):
+        """Mean cut of the strips under the tool at places u [k] from the origin, m of the field."""
+        cut = (self.state.surface - self.state.profile)[self.strips.under].mean(axis=0)
+        return np.interp(u, sweep.OFFSETS, cut)
+
+    def give_and_take(self, keeps: bool = True) -> None:
+        """Takes what the bucket has taken up away from the terrain, and pours what it has no room
+        for any more (or does not keep) in front of its edge."""
+        width = self.tool.width / self.scale
+        cells, (u, across) = self._cells, self._places.T
+        is_under = np.abs(across) <= width / 2
+        ahead = u - self.state.tip
+        if self._taken:
+            there = is_under & (ahead <= 0.0) & (ahead > -self._inside)
+            cut = self._cut_at(u[there] - self.state.origin) / self.place.cosine
+            over = np.maximum((self._left - self._before)[there] / self.scale + cut, 0.0)
+            found = self._cell * over.sum() / width
+            share = min(self._taken / max(found, 1e-12), 1.0)
+            self._left[there] -= self.scale * share * over
+            self.terrain.write(cells[there], self._left[there])
+            self._left_behind += share * found * width
+            self.payload += share * found
+            self._taken = 0.0
+        if (excess := self.payload - (self._room.area if keeps else 0.0)) > 0:
+            self.payload -= excess
+            there = is_under & (np.abs(ahead - payload.FALLS_AHEAD) <= payload.FALLS_APART)
+            self.terrain.pour(cells[there], excess * width * self.scale**3)
 
     @property
     def carried(self) -> np.ndarray:

@@ -29,7 +29,7 @@ class TerrainRollout(Judged):
       force, torque: float64 [T, 3] of the soil on the tool, N, N m (about the position of the
         pose), world.
       frames: int [F], frames of the maps.
-      heights: float32 [F, nx, nz], m.
+      heights: float32 [F, nx, nz], m; what a bucket holds counts, see `SoilStepper.heights`.
       frame_status: T statuses of the frames alone.
       spread: float64 [T, 3], N, standard deviation of the force over members, see `SoilFrame`.
       bound: float64 [T], N, of the error of the force, see `SoilField.bound`.
@@ -159,7 +159,7 @@ def roll_out(
     for t in range(len(path)):
         frames.append(step(t) if t else stepper.start(path[0], particles))
         if not t % every:
-            heights.append(terrain.heights.astype(np.float32))
+            heights.append(stepper.heights.astype(np.float32))
             if particles is not None:
                 followed.append(stepper.particles())
     return TerrainRollout(

@@ -62,6 +62,23 @@ def walk(run: Run, start: int = 0):
         yield t, passage
 
 
+def until_lifted(run: Run) -> Run:
+    """The run of a bucket up to where it has dug and is lifted: what it holds from there on is not
+    for the networks. Runs of other tools as they are."""
+    if not getattr(run.tool, 'bucket', 0.0):
+        return run
+    for t, passage in walk(run):
+        if passage.is_over:
+            maps = t // run.stride + 1
+            frames = slice((maps - 1) * run.stride + 1)
+            return run._replace(
+                pose=run.pose[frames], force=run.force[frames], torque=run.torque[frames],
+                heights=run.heights[:maps], machine=None,
+                particles=None if run.particles is None else run.particles[:maps],
+            )  # fmt: skip
+    return run
+
+
 class Episode(NamedTuple):
     """A run from one of its frames on.
 

@@ -7,9 +7,10 @@ import numpy as np
 
 from learning_to_simulate.native import soil_engine
 from learning_to_simulate.native.engines import BEST
+from learning_to_simulate.soil_field import payload
 from learning_to_simulate.soil_field.engine import SoilFrame
 from learning_to_simulate.soil_field.field import SoilField
-from learning_to_simulate.soil_field.place import UP, Place, checked_pose
+from learning_to_simulate.soil_field.place import UP, Place, checked_pose, place_of
 from learning_to_simulate.soil_field.terrain import Terrain
 from learning_to_simulate.soil_field.tools import Tool
 from learning_to_simulate.soil_field.tracer import Followed, Tracer
@@ -79,7 +80,7 @@ class SoilStepper:
         floor. Given `particles` [P, 3], m, are then followed in place of those about the tool."""
         given = None
         if particles is not None:
-            given = Followed(self._engine, checked_pose(pose), particles)
+            given = Followed(self._engine, self.terrain, self.tool, checked_pose(pose), particles)
         self._frame, self._tracer = self._engine.start(pose), given
         return self._frame
 
@@ -104,9 +105,26 @@ class SoilStepper:
         if place is not None:
             if self._engine.place.origin is not place.origin:
                 self._tracer.begin(frame.pose)
+                self._tracer.weigh(frame.payload)
             else:
-                self._tracer.step(frame.pose, dt)
+                self._tracer.step(frame, dt)
         return frame
+
+    @property
+    def heights(self) -> np.ndarray:
+        """float64 [nx, nz], m: those of the terrain, and over them what a bucket holds, as recorded
+        maps count it."""
+        found, held, scale = self.terrain.heights.copy(), self.frame.payload, self.tool.scale
+        if held:
+            x, z = np.meshgrid(*self.terrain.middles, indexing='ij')
+            pose = self.frame.pose
+            ahead, _, across = np.moveaxis(
+                place_of(pose).local(np.stack([x, 0 * x, z], axis=-1)), -1, 0
+            )
+            long = scale * payload.BACK_REACH * payload.radius(self.tool.length / scale)  # type: ignore[attr-defined]
+            there = (ahead <= 0) & (ahead > -long) & (np.abs(across) <= self.tool.width / 2)
+            found[there] += held / max(there.sum(), 1) / np.prod(self.terrain.cell)
+        return found
 
     def particles(self) -> np.ndarray:
         """float32 [P, 3], m: places of particles: those that `start` was given, else some about the

@@ -93,6 +93,12 @@ class Terrain:
         here, reach = work.footprint
         return any(np.hypot(*(there - here)) < reach + other for there, other in others)
 
+    def pour(self, cells, volume: float) -> None:
+        """Spreads a volume (m3) evenly over some cells [K] (numbers in the flat map), where it
+        slides to its angle of repose; none: it is lost."""
+        self._heights.reshape(-1)[cells] += volume / max(np.size(cells), 1) / np.prod(self.cell)
+        self.settle(cells)
+
     def settle(self, cells, keep=()) -> None:
         """Lets soil slide where the slope at some cells [K] (numbers in the flat map), or near
         them, is steeper than its angle of repose, which is its friction angle; no soil is lost, and

@@ -14,7 +14,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from learning_to_simulate.soil_field import sweep
+from learning_to_simulate.soil_field import payload, sweep
 
 STANDARD_DENSITY, STANDARD_GRAVITY = 1730.61, 9.81
 # By how much a bucket's edge counts as blunter than it is, m of the field: plates were taught with
@@ -110,6 +110,11 @@ class Tool(abc.ABC):
         lean (rad), and its length, m of the field; a tool that rolls has none."""
         return 0.0, 0.0
 
+    def room(self, lean: float, soil: Soil) -> payload.Room:
+        """For soil that it holds at a lean (rad), in lengths of the field; none but a bucket has
+        any."""
+        return payload.Room()
+
     @abc.abstractmethod
     def values(self, soil: Soil) -> np.ndarray:
         """[S'] of `scalars`, in lengths of the field."""
@@ -160,6 +165,12 @@ class Blade(Tool):
         upright, share = (FLOOR_ANGLE, FLOOR_SHARE) if self.bucket else (np.pi / 2, 1.0)
         length = share * self.length - 2.0 * self.radius
         return float(np.clip(upright - lean, 0.0, np.pi / 2)), max(length, 0.0) / self.scale
+
+    def room(self, lean, soil):
+        """See `Tool`, and `payload`."""
+        if not self.bucket:
+            return payload.Room()
+        return payload.room(self.length / self.scale, lean, soil.friction)
 
     def turn(self, step):
         """See `Tool`: 0.1 m times the change of lean."""

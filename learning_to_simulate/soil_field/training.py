@@ -95,6 +95,7 @@ def parts_of_run(field: SoilField, run: Run, copies=True) -> tuple[list, list]:
     """What is judged of a run [T, J], by episode, and the samples (name of a network, `Part`) of it
     and its copies. Its places are a draw of its name: all seeds learn from the same ones."""
     networks, values, parts = field.networks, [], []
+    run = samples.until_lifted(run)
     name = zlib.crc32(f'{run.kind} {run.case}'.encode())
     rng = np.random.Generator(np.random.Philox(key=0, counter=[0, 0, 9, name]))
     # What a wheel does forwards, it does backwards.

@@ -73,6 +73,7 @@ def assert_frame(c, tf):
         np.testing.assert_allclose(getattr(c, name), getattr(tf, name), atol=2e-5 * size)
     np.testing.assert_allclose(c.bound, tf.bound, atol=2e-5 * size)
     np.testing.assert_allclose(c.pose, tf.pose, rtol=1e-15)
+    np.testing.assert_allclose(c.payload, tf.payload, atol=1e-9)
     assert c.now == tf.now and c.judgement == tf.judgement
     assert c.status == tf.status and c.reason == tf.reason
 
@@ -428,6 +429,76 @@ def test_a_soil_far_from_all_taught_acts_as_a_nearer_one(name, tool):
     assert not np.allclose(seen[0][0], seen[1][0], rtol=1e-4)
 
 
+def scoop():
+    """A cut, up and curled, some way aside in the air, and back in steps [T, 7]."""
+    dig = path(30, 0.4)[:-5]
+    u, y, lean = dig[-1]
+    up = np.linspace([u, y, lean], [u + 0.05, 0.3, 0.7], 15)[1:]
+    aside = poses(np.repeat(up[-1:], 12, axis=0))
+    aside[:, 2] += np.linspace(0.0, 0.4, 12)
+    back = poses(np.linspace(up[-1], [u + 0.05, 0.3, -0.4], 15)[1:])
+    back[:, 2] += 0.4
+    return np.concatenate([poses(np.concatenate([dig, up])), aside, back])
+
+
+def volume(one):
+    """m3 over a height of 0, with what the bucket holds."""
+    cell = np.prod(one.terrain.cell)
+    assert one.heights.sum() * cell == pytest.approx(
+        one.terrain.heights.sum() * cell + one.frame.payload, abs=1e-12
+    )
+    return one.heights.sum() * cell
+
+
+@pytest.mark.parametrize('ground', ['flat', 'hills'])
+def test_a_bucket_holds_what_it_lifts_and_pours_it_elsewhere(ground):
+    pair, held = both(GROUNDS[ground]()), []
+    weight = pair[0].terrain.soil.density * pair[0].terrain.soil.gravity
+    for one in pair:
+        one.start(scoop()[0])
+    for pose in scoop()[1:]:
+        kept = [one.terrain.heights.copy() for one in pair]
+        before = [volume(one) for one in pair]
+        trials = [one.propose(pose, DT) for one in pair]
+        for one, heights in zip(pair, kept):
+            np.testing.assert_array_equal(one.terrain.heights, heights)
+        was = held[-1] if held else 0.0
+        frames = step(pair, pose)
+        held.append(frames[0].payload)
+        for trial, frame in zip(trials, frames):
+            np.testing.assert_allclose(trial.force, frame.force, atol=1e-9)
+        if held[-1] != was or held[-1] > 0:
+            for one, there in zip(pair, before):
+                assert volume(one) == pytest.approx(there, abs=1e-12)
+    assert_ground(*pair)
+    most = int(np.argmax(held))
+    assert held[most] > 1e-4 and held[-1] == 0 and len(set(held[most:])) > 3
+    middle = len(scoop()) - 15  # over fresh ground, still curled
+    other = both(GROUNDS[ground]())
+    frame = drive(other, scoop()[: middle + 1])[0]
+    np.testing.assert_allclose(frame.force, [0.0, -weight * frame.payload, 0.0], rtol=1e-12)
+    assert frame.torque @ pair[0].place.across > 0 and frame.payload == held[middle - 1]
+    clones = [one.clone() for one in other]
+    for pose in scoop()[middle + 1 :]:
+        step(other, pose)
+        frames = step(clones, pose)
+    for one, clone in zip(other, clones):
+        np.testing.assert_array_equal(one.terrain.heights, clone.terrain.heights)
+
+
+def test_a_bucket_that_is_set_down_elsewhere_leaves_what_it_holds():
+    pair = both(flat())
+    frame = drive(pair, scoop()[:-15])[0]
+    before = [volume(one) for one in pair]
+    assert frame.payload > 1e-4
+    far = poses([[-0.6, 0.3, 0.7]])[0]
+    assert_frame(*(one.start(far) for one in pair))
+    for one, there in zip(pair, before):
+        assert one.frame.payload == 0 and volume(one) == pytest.approx(there, abs=1e-12)
+    assert_ground(*pair)
+    assert not drive(both(flat(), PLATE), scoop()[:-15])[0].payload
+
+
 @THE_OTHER_TWO
 def test_a_tool_that_is_clear_of_its_heap_is_in_the_air(tool, ground):
     pair = both(GROUNDS[ground](), tool)
@@ -436,7 +507,9 @@ def test_a_tool_that_is_clear_of_its_heap_is_in_the_air(tool, ground):
         pose = np.array(last.pose)
         pose[1] = height
         frames = step(pair, pose)
-        ends.append(np.linalg.norm(frames[0].force))
+        # A bucket feels what it holds even there.
+        weight = frames[0].payload * pair[0].terrain.soil.density * pair[0].terrain.soil.gravity
+        ends.append(np.linalg.norm(frames[0].force + [0.0, weight, 0.0]).round(9))
         passage = pair[1]._engine._passage
         if not ends[-1]:  # as far as it knows what was cut, a heap might reach it
             kappa += pair[1].field.networks.inputs.load_inputs(*passage.frame)[2].numpy().max()

@@ -69,6 +69,39 @@ def lifted(tool, height=0.5, is_free=True):
     return tool.terrain.heights.copy()
 
 
+def test_a_bucket_takes_particles_up_and_pours_them():
+    bucket = lts.Blade(0.3, 0.004, 0.25, bucket=1.0)
+    points = np.random.default_rng(0).uniform([-0.6, -0.12, -0.2], [0.2, 0.0, 0.2], (3000, 3))
+    u = np.linspace(0.0, 0.3, 130)
+    dig = np.stack([u, 0.01 - 0.06 * np.minimum(u / 0.1, 1.0), 0 * u - 0.2], axis=1)
+    up = np.linspace(dig[-1], [0.3, 0.25, 0.6], 60)[1:]
+    down = np.linspace(up[-1], [0.3, 0.25, -0.4], 60)[1:]
+    way = poses(np.concatenate([dig, up, down]))
+    given, own = (model('excavation').stepper(ground(), bucket) for _ in range(2))
+    given.start(way[0], points)
+    own.start(way[0])
+    own.particles()
+    held, seen, lattice = [0.0], [given.particles()], [own.particles()]
+    for pose in way[1:]:
+        held.append(given.step(pose, DT).payload)
+        seen.append(given.particles())
+        own.step(pose, DT)
+        lattice.append(own.particles())
+    turns = len(dig) + len(up) - 1
+    assert held[turns] > 5e-4 and held[-1] == 0
+    above = seen[turns][:, 1] > 0.15  # in the bucket, over all heaps
+    assert above.sum() == pytest.approx(3000 * held[turns] / (0.8 * 0.12 * 0.4), rel=0.3)
+    assert (seen[turns][above, 0] > -0.3).all()  # behind the edge, which looks along -x
+    assert (np.abs(seen[turns][above, 2]) <= bucket.width / 2).all()
+    # A turn alone takes them along; in the end they lie on the ground.
+    apart = [np.linalg.norm(seen[t][above] - way[t, :3], axis=1) for t in (turns, turns + 3)]
+    np.testing.assert_allclose(*apart, atol=1e-6)
+    now = given.terrain.at(*seen[-1][:, [0, 2]].T)
+    np.testing.assert_allclose(seen[-1][above, 1], now[above], atol=0.03)
+    assert (given.clone().particles() == seen[-1]).all()
+    assert (lattice[turns][:, 1] > 0.15).any() and not (lattice[-1][:, 1] > 0.15).any()
+
+
 def test_recorded_long_cuts_have_no_end():
     """Passages are renewed: nothing is flagged where the solver's own heap is no higher than those
     of training, else hardly a frame; and no jump is larger than the solver's."""

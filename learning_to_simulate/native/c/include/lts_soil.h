@@ -72,6 +72,7 @@ typedef struct {
   double spread[6];  /* standard deviation over members of force and torque: along and square to the ground, across */
   double bound;      /* N, kept by the error of the force in 95 % of the frames of 9 of 10 runs that are like those
                       * of training; not a number where it is not known, as for fewer members than all */
+  double payload;    /* m3 of soil in a bucket; its weight is part of force and torque */
   int32_t frame;     /* steps since the start */
   int32_t status;    /* of the worst judgement; LTS_OUTSIDE_... or LTS_NON_FINITE */
   int32_t passage;   /* how many have begun since the start: in the air a tool may turn to a new one */

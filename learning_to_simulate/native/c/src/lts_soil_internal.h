@@ -26,6 +26,8 @@ typedef struct {
   /* Of (19): m3 of the field that cells out of sight have risen, m2 that were cut there; what the soil carried falls
    * short of all that was cut, before a chunk left, and the way then. */
   double left_behind, dropped_there, owed, owed_at;
+  double payload, taken;  /* m2 of soil in the bucket when it was last in the air; what it took up in the last step */
+  int32_t bears, unused;  /* bears: whether the soil bears on the tool in the newest frame */
   int32_t n_strip, looks; /* looks: whether to see if the terrain goes on being even */
   int32_t cells, stale;   /* which of the instance's cells are in sight; whether their heights are old */
   int32_t n_gone, lifted; /* cells that the bins have left in the last step; whether the tool is over the soil */
@@ -163,6 +165,11 @@ int lts_soil_reach(const lts_soil *soil, const lts_passage *p, const lts_pose *p
                    double change[3]);
 int lts_soil_go(lts_soil *soil, lts_passage *p, const lts_pose *pose, double dt);
 void lts_soil_copy(const lts_soil *soil, lts_passage *to, const lts_passage *from);
+/* How high a tool that is seen somewhere is over the highest terrain before it that lies under it, and over the mean
+ * of all in sight. */
+double lts_soil_over(const lts_soil *soil, const lts_passage *p, const double seen[3]);
+/* Whether anything has been cut, or dropped. */
+int lts_soil_has_cut(const lts_soil *soil, const lts_passage *p);
 /* Whether its tool has cut and is lifted since. */
 int lts_soil_is_over(const lts_soil *soil, const lts_passage *p);
 /* Whether its way is long, or its ground has another grade, and its tool has just cut farther than before. */
@@ -196,5 +203,17 @@ double lts_soil_contact(lts_soil *soil, const lts_passage *p);
  * level (of particles), across; m of the field. */
 void lts_soil_find(lts_soil *soil, const lts_passage *p, int is_surface, size_t n,
                    void (*place)(const void *, size_t, double[3]), const void *of, float *out);
+
+
+/* lts_soil_payload.c: soil that a bucket holds, and what weighs on it, m2 of the field; how far ahead of the edge its
+ * middle lies; share of the load that it replaces. Twin of `passage.Held`. */
+typedef struct {
+  double area, weighs, middle, replaces;
+} lts_held;
+lts_held lts_soil_held(lts_soil *soil, const lts_passage *p);
+/* What it takes up where it leaves the soil now. */
+double lts_soil_scooped(lts_soil *soil, const lts_passage *p);
+/* `Passage.give_and_take`. */
+void lts_soil_give_and_take(lts_soil *soil, lts_passage *p, int keeps);
 
 #endif

@@ -95,6 +95,9 @@ struct lts_soil_model {
   /* m over the soil; under a tool along the way; behind its foremost place; over the terrain; way back that counts;
    * way of a passage. */
   double lifted, under, turned_back, strikes, backs, renewed_after;
+  /* Payload, see `payload.py`. */
+  double shell, back_height, back_reach, inside[20], slips, slips_out, taken[2], curled;
+  double taken_along[6], taken_across[5], falls_ahead, falls_apart;
   /* Terrain: of soil that slides. */
   int32_t slides, unused_slides;
   double slope_tolerance, slide_shares[3];

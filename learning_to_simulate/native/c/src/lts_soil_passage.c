@@ -33,29 +33,30 @@ static double foremost_of(const lts_soil *soil, const lts_passage *p) {
   return foremost;
 }
 
-/* Whether a tool that is seen somewhere is by `lifted`, or at all where it has turned back, over the highest terrain
- * before it that lies under it, and over the mean of all in sight. */
-static int lifts(const lts_soil *soil, const lts_passage *p, const double seen[3]) {
+double lts_soil_over(const lts_soil *soil, const lts_passage *p, const double seen[3]) {
   const lts_soil_model *m = soil->model;
   int first;
   const int count = lts_soil_under(soil, p, &first);
-  const double bottom = seen[1] - soil->radius, middle = (seen[0] - p->s.origin) / m->spacing + m->n_behind;
+  const double middle = (seen[0] - p->s.origin) / m->spacing + m->n_behind;
   const int begin = (int)fmax(middle - m->under / m->spacing, 0.0);
   const int end = (int)fmin(middle + m->under / m->spacing + 2.0, (double)m->n_bin);
   double sum = 0.0;
-  const double least = seen[0] < foremost_of(soil, p) - m->turned_back ? 0.0 : m->lifted;
+  for (size_t i = LTS_SOIL_ROW(soil, first); i < LTS_SOIL_ROW(soil, first + count); ++i) sum += p->surface[i];
+  double highest = sum / (count * m->n_bin);
   for (int k = begin; k < end; ++k) {
     if (!(fabs(p->s.origin + lts_soil_offset(m, k) - seen[0]) < m->under)) continue;
-    for (int j = first; j < first + count; ++j) {
-      if (!(bottom > p->surface[LTS_SOIL_ROW(soil, j) + (size_t)k] + least)) return 0;
-    }
+    for (int j = first; j < first + count; ++j) highest = fmax(highest, p->surface[LTS_SOIL_ROW(soil, j) + (size_t)k]);
   }
-  for (size_t i = LTS_SOIL_ROW(soil, first); i < LTS_SOIL_ROW(soil, first + count); ++i) sum += p->surface[i];
-  return bottom > sum / (count * m->n_bin) + least;
+  return seen[1] - soil->radius - highest;
 }
 
-/* Whether anything has been cut, or dropped. */
-static int has_cut(const lts_soil *soil, const lts_passage *p) {
+/* Whether a tool that is seen somewhere is by `lifted`, or at all where it has turned back, over the terrain before it. */
+static int lifts(const lts_soil *soil, const lts_passage *p, const double seen[3]) {
+  const int is_back = seen[0] < foremost_of(soil, p) - soil->model->turned_back;
+  return lts_soil_over(soil, p, seen) > (is_back ? 0.0 : soil->model->lifted);
+}
+
+int lts_soil_has_cut(const lts_soil *soil, const lts_passage *p) {
   for (int j = 0; j < p->s.n_strip; ++j) {
     if (p->s.dropped[j] > 0.0) return 1;
   }
@@ -66,7 +67,7 @@ static int has_cut(const lts_soil *soil, const lts_passage *p) {
 }
 
 int lts_soil_is_over(const lts_soil *soil, const lts_passage *p) {
-  return p->s.lifted && has_cut(soil, p);
+  return p->s.lifted && lts_soil_has_cut(soil, p);
 }
 
 /* Whether all strips are equal at a place. */
@@ -170,6 +171,7 @@ int lts_soil_begin(lts_soil *soil, lts_passage *p, const lts_pose *pose, int set
   const int cells = w->cells;
   memset(w, 0, sizeof *w);
   w->cells = cells;
+  w->bears = 1;
   if (place) w->place = *place;
   else if (!lts_place_of(pose, &w->place)) return LTS_ERROR_VALUE;
   lts_terrain_update(soil->terrain);
@@ -243,14 +245,17 @@ int lts_soil_go(lts_soil *soil, lts_passage *p, const lts_pose *pose, double dt)
   LTS_TRY(lts_soil_reach(soil, p, pose, coming, change));
   const int is_lifted = lifts(soil, p, coming);
   if (is_lifted && !soil->writes) return LTS_OK; /* particles stay as they are */
-  if (is_lifted && !p->s.lifted) lts_soil_write(soil); /* as the tool leaves it */
+  if (is_lifted && !p->s.lifted) {
+    lts_soil_write(soil); /* as the tool leaves it */
+    p->s.taken = lts_soil_scooped(soil, p);
+  }
   const double to = lts_soil_followed(m, p->s.origin, coming[0]);
   const int moves_on = to != p->s.origin;
   if (moves_on) LTS_TRY(follow(soil, p, to));
   soil->seen = NULL;
   lts_soil_advance(soil, p, coming, lts_soil_turn(soil, change), dt / soil->time);
   /* What is set down straight down on a slope goes back along it: not in the soil. */
-  if (p->s.place.grade != 0.0 && !has_cut(soil, p)) {
+  if (p->s.place.grade != 0.0 && !lts_soil_has_cut(soil, p)) {
     for (int j = 0; j < p->s.n_strip; ++j) p->s.foremost[j] = fmin(p->s.foremost[j], p->s.pose[0]);
   }
   p->s.n_gone = 0;

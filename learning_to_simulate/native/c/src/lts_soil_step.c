@@ -188,12 +188,13 @@ int lts_soil_reason(const lts_soil *soil, const lts_judgement *judgement, char *
 /* ---- frames ---- */
 
 /* The frame of a passage whose tool is at a pose. */
-static void answer(lts_soil *soil, const lts_passage *p, const lts_pose *pose, const lts_judgement *before,
+static void answer(lts_soil *soil, lts_passage *p, const lts_pose *pose, const lts_judgement *before,
                    int passage, lts_soil_result *out) {
   const int members = soil->members;
   double mean[6];
   const int loaded = lts_soil_find_loads(soil, p, members, soil->loads);
-  const double share = loaded ? lts_soil_contact(soil, p) : 1.0;
+  const lts_held held = lts_soil_held(soil, p);
+  const double share = loaded ? lts_soil_contact(soil, p) * (1.0 - held.replaces) : 1.0;
   int is_finite = 1;
   for (int i = 0; i < 6; ++i) {
     double sum = 0.0, square = 0.0;
@@ -213,8 +214,15 @@ static void answer(lts_soil *soil, const lts_passage *p, const lts_pose *pose, c
                    : weights[0] * soil->units[0] + weights[1] * apart + weights[2] * size;
   lts_place_unlaid(&p->s.place, mean, out->force);
   lts_place_unlaid(&p->s.place, mean + 3, out->torque);
+  p->s.bears = 0;
+  for (int i = 0; i < 6; ++i) p->s.bears |= mean[i] != 0.0;
   /* A blade on its head may touch soil without a load. */
   judge(soil, p, pose, loaded ? share > 0.0 : -1, is_finite, soil->frame, &out->now);
+  const double weight = soil->model->standard_density * soil->model->standard_gravity * held.weighs * soil->width;
+  out->force[1] -= weight * soil->units[0];
+  out->torque[0] -= weight * held.middle * soil->units[3] * p->s.place.across[0];
+  out->torque[2] -= weight * held.middle * soil->units[3] * p->s.place.across[1];
+  out->payload = held.area * soil->width * soil->scale * soil->scale * soil->scale;
   out->worst = before && rank(before) >= rank(&out->now) ? *before : out->now;
   out->status = out->worst.status;
   out->frame = soil->frame;
@@ -236,6 +244,7 @@ static int begin_other(lts_soil *soil, const lts_pose *pose, int set_down, const
   p->s.cells = soil->passage[soil->now].s.cells;
   LTS_TRY(lts_soil_begin(soil, p, pose, set_down, place));
   p->s.stale = set_down;
+  if (soil->started && soil->writes) p->s.payload = soil->passage[soil->now].s.payload;
   *out = p;
   /* Of cells that are in sight it knows nothing yet. */
   lts_cells *kept = &soil->cells[p->s.cells];
@@ -262,6 +271,7 @@ static int start(lts_soil *soil, const lts_pose *pose, int set_down, int writes,
   if (writes && is_under_floor(soil, unit)) return LTS_ERROR_PLACE;
   lts_place place;
   if (!lts_place_of(unit, &place)) return LTS_ERROR_VALUE;
+  if (soil->started && soil->writes) lts_soil_give_and_take(soil, &soil->passage[soil->now], 0);
   finish(soil, &soil->passage[soil->now]);
   const int was_started = soil->started;
   soil->started = 0; /* what has come to rest is not written again */
@@ -302,11 +312,8 @@ static int check_step(const lts_soil *soil, const lts_pose *pose, double dt, lts
 /* Whether a tool is in the air and has left the plane of its passage, or is over what it has cut. */
 static int is_away(const lts_soil *soil, const lts_pose *pose) {
   const lts_place *place = &soil->passage[soil->now].s.place;
-  const lts_soil_result *last = &soil->result;
   double turns[3], local[3];
-  for (int i = 0; i < 3; ++i) {
-    if (last->force[i] != 0.0 || last->torque[i] != 0.0) return 0;
-  }
+  if (soil->passage[soil->now].s.bears) return 0;
   lts_place_turns(place, pose, turns);
   lts_place_local(place, pose->position, local);
   if (lts_soil_is_over(soil, &soil->passage[soil->now])) return 1;
@@ -374,6 +381,7 @@ int lts_soil_step(lts_soil *soil, const lts_pose *pose, double dt, lts_soil_resu
   soil->pose = unit;
   if (soil->frame < INT32_MAX) ++soil->frame;
   lts_soil_settle(soil, soil->gone, p->s.n_gone, p);
+  lts_soil_give_and_take(soil, p, 1);
   if (result) *result = soil->result;
   return soil->result.status;
 }

@@ -1,0 +1,109 @@
+"""Soil that a bucket holds: how much room its lean leaves, from the shape that was taught.
+
+In the plane of travel soil lies in the shell below two lines at the angle of repose: one that rises
+backwards from the edge, one that rises forwards from the upper rim. Along the floor it slides out
+where that is steeper than its friction, (29) of docs/soil_field.md. Lengths are of the field.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+# The shell of `mpm.motions.operator_paths.bucket`: thickness, m; slope of the floor, rad; length of
+# the floor, in radii of its back.
+SHELL, FLOOR_SLOPE, FLOOR_LENGTH = 0.024, math.radians(15.0), 1.6
+# Lean, rad, from which on all soil stays on the floor, and over which it slides out (a friction of
+# 0.3 between tool and soil holds it on slopes of 17 deg, that is at leans over -2 deg).
+SLIPS, SLIPS_OUT = math.radians(-2.0), math.radians(8.0)
+# Share of the soil over the floor that does not run out again as the bucket leaves the ground: at a
+# lean of 0, and from a lean (rad) on; as in the validation runs of kind `scoop`.
+TAKEN, CURLED = (0.58, 0.83), math.radians(30.0)
+# Where that soil is looked for, in reaches behind the edge, and across in half widths.
+TAKEN_ALONG = (np.arange(6) + 0.5) / 6
+TAKEN_ACROSS = (-0.8, -0.4, 0.0, 0.4, 0.8)
+# What is dumped falls so far ahead of the edge, and spreads by so much to both sides of that, m.
+FALLS_AHEAD, FALLS_APART = 0.03, 0.04
+# Share by which the height of each particle in a picture differs from that of the last.
+GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
+_BACK = FLOOR_SLOPE - math.pi / 2 + np.linspace(0.0, math.radians(165.0), 8)
+_FLOOR = np.array([math.cos(FLOOR_SLOPE), math.sin(FLOOR_SLOPE)])
+_RING = FLOOR_LENGTH * _FLOOR + np.array([-_FLOOR[1], _FLOOR[0]])
+# float64 [10, 2]: places u (along the way) and y of the edge, the back up to the upper rim, and a
+# point far out of the mouth, in radii of the back.
+INSIDE = np.concatenate([[[0.0, 0.0]], _RING + np.stack([np.cos(_BACK), np.sin(_BACK)], axis=1)])
+INSIDE[:, 0] *= -1.0
+_MOUTH = INSIDE[-1] - INSIDE[0]
+INSIDE = np.concatenate([INSIDE, [INSIDE[-1] / 2 + [_MOUTH[1], -_MOUTH[0]]]])
+# Height of the outline over the edge without the shell, and reach behind the edge, in such radii.
+BACK_HEIGHT, BACK_REACH = float(INSIDE[:-1, 1].max()), -float(INSIDE[:, 0].min())
+
+
+def radius(length: float) -> float:
+    """Inner radius of the back of a bucket of a height, m."""
+    return max(length - SHELL, 0.0) / BACK_HEIGHT
+
+
+class Room(NamedTuple):
+    """For how much soil a bucket has room, m2; how far ahead of its edge the middle of that is, m;
+    1 where the floor holds soil, 0 where all slides out."""
+
+    area: float = 0.0
+    middle: float = 0.0
+    holds: float = 0.0
+
+
+def room(length: float, lean: float, friction: float) -> Room:
+    """The room in a bucket of a height at a lean (rad), for soil of a friction (tangent of the
+    angle of repose)."""
+    points = _inside(length, lean)
+    edge, rim = points[0], points[-2]
+    way = 1.0 if rim[0] > edge[0] else -1.0  # from the edge to the rim
+    below = _cut(points, edge, -way * friction)
+    below = _cut(below, rim, way * friction)
+    # The lines through the origin and each side bound triangles, whose sum is the area.
+    u, y = below.T
+    v, z = np.roll(below, -1, axis=0).T
+    twice = u * z - v * y
+    area = abs(float(twice.sum())) / 2.0
+    middle = float((twice * (u + v)).sum() / twice.sum()) / 3.0 if area > 0 else 0.0
+    holds = min(max((lean - SLIPS) / SLIPS_OUT + 1.0, 0.0), 1.0)
+    return Room(holds * area, middle, holds)
+
+
+def places(length: float, lean: float, friction: float, area: float, count: int) -> np.ndarray:
+    """So many places [count, 2] u and y from the edge, evenly in soil of an area (m2) on the floor
+    of a bucket, for pictures; other arguments as of `room`."""
+    corners = _inside(length, lean)[:-1]
+    back = int(np.argmin(corners[:, 0]))
+    u = np.linspace(corners[back, 0], 0.0, 65)
+    bottom = np.interp(u, corners[back::-1, 0], corners[back::-1, 1])
+    top = np.minimum(-friction * u, np.interp(u, corners[back:, 0], corners[back:, 1]))
+    depth = np.maximum(top - bottom, 1e-9)
+    filled = np.append(0.0, np.cumsum((depth[1:] + depth[:-1]) / 2.0 * np.diff(u)))
+    index = np.arange(count)
+    at = np.interp((index + 0.5) / max(count, 1) * filled[-1], filled, u)
+    high = GOLDEN * index % 1.0 * min(area / filled[-1], 1.0)
+    return np.stack([at, np.interp(at, u, bottom) + high * np.interp(at, u, depth)], axis=1)
+
+
+def kept(lean: float) -> float:
+    """Share of the soil over its floor that a bucket keeps where it leaves the ground at a lean."""
+    return TAKEN[0] + (TAKEN[1] - TAKEN[0]) * min(max(lean / CURLED, 0.0), 1.0)
+
+
+def _inside(length, lean):
+    sine, cosine = math.sin(lean), math.cos(lean)
+    return radius(length) * INSIDE @ np.array([[cosine, sine], [-sine, cosine]])
+
+
+def _cut(points, through, fall):
+    """The part of a polygon [K, 2] below the line through a point that falls by `fall` per way."""
+    over = points[:, 1] - through[1] + fall * (points[:, 0] - through[0])
+    kept = []
+    for a, b, p, q in zip(over, np.roll(over, -1), points, np.roll(points, -1, axis=0)):
+        if a <= 0:
+            kept.append(p)
+        if (a <= 0) != (b <= 0):
+            kept.append(p + a / (a - b) * (q - p))
+    return np.array(kept).reshape(-1, 2)
