@@ -4,8 +4,8 @@
 
 Swing and three joints are moved by position servos; the weights of the arm are borne, as hydraulics
 bear them. The bucket goes along a path of its edge; how far it lags is what the soil does to it.
-What the bucket has cut and not heaped up falls back into the trench as it lifts, for the terrain
-keeps its volume: the dumped soil is left out.
+The bucket curls in the soil, so that some of it stays on its floor, weighs on the arm and is poured
+out beside the trench; the terrain and the bucket together keep the volume.
 """
 
 import pathlib
@@ -26,9 +26,10 @@ PIVOT, BOOM, STICK, BUCKET = 0.75, 1.35, 0.95, 0.3  # m: height of the boom's pi
 # Time (s), and where the edge is then: distance from the pin of the boom, height (m), lean (rad).
 CUT = (
     (0.0, 2.15, 0.20, -0.45), (1.2, 2.15, 0.03, -0.45), (2.9, 1.95, -0.042, -0.4),
-    (5.7, 1.55, -0.042, -0.25), (7.4, 1.35, 0.05, -0.15), (8.4, 1.35, 0.45, 0.40),
+    (5.2, 1.62, -0.042, -0.25), (6.6, 1.46, 0.0, 0.3), (7.4, 1.42, 0.1, 0.5),
+    (8.4, 1.35, 0.45, 0.5),
 )  # fmt: skip
-DUMP = ((9.9, 1.6, 0.5, 0.4), (10.7, 1.7, 0.5, -0.8), (11.7, 2.15, 0.35, -0.45))
+DUMP = ((9.9, 1.6, 0.5, 0.5), (10.7, 1.7, 0.3, -0.8), (11.7, 2.15, 0.35, -0.45))
 FIRST, SIDE, SECOND, PERIOD = -0.13, 1.1, 0.13, 12.2  # swing of cuts and dump; s from cut to cut
 
 

@@ -98,14 +98,21 @@ def test_lines_of_the_mujoco_page():
 
 @pytest.mark.slow
 def test_excavator_through_its_cycle(tmp_path, monkeypatch):
-    """The cut meets soil that holds it back, and leaves a trench; a film is drawn of it."""
+    """The cut meets soil that holds it back, and leaves a trench; what the bucket lifts weighs on
+    it and lies on a heap in the end; a film is drawn of it."""
     pytest.importorskip('mujoco')
     example, film = _example('excavator'), tmp_path / 'dig.mp4'
     monkeypatch.setattr(sys.modules['film'], 'FPS', 1)
     ground, _, rows = example.main(str(film), 11.5)
     time, force, flagged = rows[:, 0], rows[:, 4:7], rows[:, -1]
-    cut, out = (time > 2.5) & (time < 6.0), (time < 0.5) | (time > 8.5)
+    cut, out = (time > 2.5) & (time < 5.5), (time < 0.5) | (time > 10.8)
     assert force[cut, 0].mean() > 50.0 and not force[out].any()
+    held = (time > 8.4) & (time < 9.5)
+    assert not force[held][:, [0, 2]].any() and -90.0 < force[held, 1].mean() < -25.0
+    x, z = ground.middles
+    heap = np.maximum(ground.heights, 0.0)[np.hypot(x[:, None] - 0.75, z + 1.45) < 0.3].sum()
+    weight = heap * np.prod(ground.cell) * ground.soil.density * ground.soil.gravity
+    assert weight == pytest.approx(-force[held, 1].mean(), rel=0.1)
     assert flagged.mean() < 0.05 and not flagged[time < 3.4].any()
     assert rows[cut, 2].min() < -0.035 and (ground.heights < -0.03).sum() > 100
     assert film.stat().st_size > 10_000

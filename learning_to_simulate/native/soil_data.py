@@ -55,7 +55,10 @@ _CONSTANTS = {
     ),
     swept: ('GRAZE',),
     terrain: ('SLIDES', 'SLOPE_TOLERANCE'),
-    tools: ('BUCKET_EDGE', 'FLOOR_ANGLE', 'FLOOR_SHARE', 'STANDARD_DENSITY', 'STANDARD_GRAVITY'),
+    tools: (
+        'BUCKET_EDGE', 'FLOOR_ANGLE', 'FLOOR_SHARE', 'FLOOR_FALLS', 'CURL', 'STANDARD_DENSITY',
+        'STANDARD_GRAVITY',
+    ),
 }  # fmt: skip
 
 

@@ -215,7 +215,8 @@ class TfEngine:
         leans = self._tool.leans(float(passage.state.pose[2]))
         of_passage = passage.crossfall, passage.slope, passage.turning, leans
         near = max(self._tool.wall_beside - beside / passage.scale, 0.0)
-        return np.array([yaw, roll, *np.array(found) / passage.scale, *of_passage, near])
+        all_found = *np.array(found) / passage.scale, *of_passage, near, passage.heel
+        return np.array([yaw, roll, *all_found])
 
     def _seen(self, passage, pose, before):
         frame = passage.frame
@@ -226,7 +227,8 @@ class TfEngine:
             loads, bears = share * loads, share > 0
         mean = loads.mean(axis=0)
         passage.bears = bool(mean.any())
-        values = self._field.judged(frame, self._conditions(passage, pose)[None], bears)
+        found = self._conditions(passage, pose)[None]
+        values = self._field.judged(frame, found, bears, held.area > 0)
         now = self._field.limits.judge(values, self._number, bool(np.isfinite(mean).all()))
         force, torque = passage.place.unlaid(mean[:3]), passage.place.unlaid(mean[3:])
         weight = STANDARD_DENSITY * STANDARD_GRAVITY * held.weighs * self._tool.width

@@ -25,7 +25,7 @@ MARGIN = 0.05
 # it and the floor; by how much another tool is nearer than `APART`; the side of a cell, at most the
 # tool's `largest_cell`; `Passage.crossfall`; of no unit, `Passage.slope` and `turning`, in the
 # tool's `taught_turning`; rad, `Tool.leans`; m of the field, by how much a wall is nearer to
-# its ends than the tool's `wall_beside`.
+# its ends than the tool's `wall_beside`; m2 of the field, `Passage.heel`.
 CONDITIONS = {
     'yaw': (-0.035, 0.035),
     'roll': (-0.035, 0.035),
@@ -39,6 +39,7 @@ CONDITIONS = {
     'turning': (np.nan, np.nan),
     'leans': (-0.05, np.pi),
     'wall_beside': (0.0, 0.0),
+    'heel': (0.0, 1e-4),
 }
 APART = 0.1
 # What a reason names, in words for a user, and its unit (lengths are of the field).
@@ -78,6 +79,7 @@ WORDS = {
     'turning': ('turn or slip of the tool on its way', ''),
     'leans': ('lean of the tool against its cut', 'rad'),
     'wall_beside': ('nearness of a wall beside', 'm'),
+    'heel': ('soil pressed down by the heel of a bucket that curls', 'm²'),
 }
 # Numbers of a frame that are judged: scalars, and what follows from bins about the tool, from how
 # near walls are, and from how far the tool has gone back in the soil.
@@ -137,10 +139,13 @@ class SoilField:
         of_tool = {'cell': (0.0, tool.largest_cell), 'turning': tool.taught_turning}
         return self.ranges | CONDITIONS | of_tool
 
-    def judged(self, frames: sweep.Frame, conditions=None, bears: bool | None = None) -> np.ndarray:
+    def judged(
+        self, frames: sweep.Frame, conditions=None, bears: bool | None = None, holds: bool = False
+    ) -> np.ndarray:
         """[T, N] numbers that say whether frames of one tool are like those of training, see
         `judged_names`; `conditions` are [T, C] of `CONDITIONS` (None: all as they should be),
-        `bears` says whether soil acts on the tool, where that is known, see `contact`."""
+        `bears` says whether soil acts on the tool, where that is known, see `contact`; `holds`
+        whether it holds soil: nothing says what of it runs out as it rolls."""
         columns = self.networks.scalars
 
         def first(name):
@@ -175,6 +180,7 @@ class SoilField:
             touches[:] = bears
         free = np.zeros(len(self.judged_names), bool)
         free[: len(_SCALARS)] = free[len(names) :] = True
+        free[self.judged_names.index('roll')] = not holds
         if conditions is None:
             conditions = np.zeros((len(values), len(CONDITIONS)))
         values = np.concatenate([values, np.asarray(conditions, np.float64)], axis=1)

@@ -202,6 +202,16 @@ class Passage:
         return whole if abs(whole) > STEEP else slope
 
     @property
+    def heel(self) -> float:
+        """Most soil in place of the back of a bucket that curls, so that its heel is lower than its
+        edge, (26), m2 of the field: in no run of training was there any."""
+        angle, length = self.tool.back(self.state.pose[2])
+        if angle >= 0:
+            return 0.0
+        pressed = sweep.pressed(self.state, self._radius, angle, length)
+        return float(pressed[self.strips.under].max())
+
+    @property
     def turning(self) -> float:
         """Share of x in what the tool did on the last 30 mm (7): turns of a blade, slip. That of a
         wheel is negative where its rim is slower than its axle, whichever way it goes, and little

@@ -237,9 +237,11 @@ def layer(state: Sweep, strikes: float) -> np.ndarray:
 
 def pressed(state: Sweep, radius: float, angle: float, length: float) -> np.ndarray:
     """[J], m2: (26). The underside of the back goes straight on where it touches the circle, and
-    rises backwards by an `angle` of 0 to pi / 2 rad over its `length`, m."""
+    rises backwards by an `angle` of up to pi / 2 rad over its `length`, m; a curled bucket's
+    falls."""
     sine, cosine = np.sin(angle), np.cos(angle)
-    slope = max(sine / max(cosine, 1e-9), 1e-6)
+    slope = sine / max(cosine, 1e-9)
+    slope = slope if abs(slope) > 1e-6 else 1e-6
     behind = (state.tip - state.origin) - OFFSETS - radius * sine
     most = state.profile - state.pose[1] + radius * cosine
     # Depths in a bin where the part of the back in it begins and ends: what lies between follows

@@ -21,8 +21,10 @@ STANDARD_DENSITY, STANDARD_GRAVITY = 1730.61, 9.81
 # radii of 13 to 18 mm, buckets with 4, and what lies between is neither.
 BUCKET_EDGE = 0.01
 # The floor of a bucket as was taught (`mpm.motions.operator_paths.bucket`): its rise behind the
-# edge, rad, and its length as a share of that of the outline.
-FLOOR_ANGLE, FLOOR_SHARE = math.radians(8.0), 0.6
+# edge, rad, and its length as a share of that of the outline; most by which it falls, rad; lean up
+# to which buckets of training have curled in the soil, rad.
+FLOOR_ANGLE, FLOOR_SHARE, FLOOR_FALLS = math.radians(8.0), 0.6, math.radians(-60.0)
+CURL = 0.42
 LEAN = 0.1  # m of the field that a blade turns by with a change of lean of 1 rad
 
 
@@ -101,13 +103,13 @@ class Tool(abc.ABC):
         field) and lean (rad)."""
 
     def leans(self, lean: float) -> float:
-        """How far it leans (rad) to the side to which all taught ones do: a plate back, a bucket
-        forward; 0 of a tool that rolls."""
+        """How far it leans (rad) on the side on which all taught ones do: a plate back, a bucket
+        less than `CURL` back; 0 of a tool that rolls."""
         return 0.0
 
     def back(self, lean: float) -> tuple[float, float]:
-        """Of its back, which rises behind its edge: the angle over the level (0 to pi / 2 rad) at a
-        lean (rad), and its length, m of the field; a tool that rolls has none."""
+        """Of its back, which rises behind its edge: the angle over the level (at most pi / 2) at
+        a lean (rad), and its length, m of the field; a tool that rolls has none."""
         return 0.0, 0.0
 
     def room(self, lean: float, soil: Soil) -> payload.Room:
@@ -158,13 +160,15 @@ class Blade(Tool):
         return self.width / float(np.clip(self.width, *self.taught_widths))
 
     def leans(self, lean):
-        return -lean if self.bucket else lean
+        return CURL - lean if self.bucket else lean
 
     def back(self, lean):
         """See `Tool`: a plate; of a bucket the floor of the taught shape."""
-        upright, share = (FLOOR_ANGLE, FLOOR_SHARE) if self.bucket else (np.pi / 2, 1.0)
+        upright, share, least = np.pi / 2, 1.0, 0.0
+        if self.bucket:
+            upright, share, least = FLOOR_ANGLE, FLOOR_SHARE, FLOOR_FALLS
         length = share * self.length - 2.0 * self.radius
-        return float(np.clip(upright - lean, 0.0, np.pi / 2)), max(length, 0.0) / self.scale
+        return float(np.clip(upright - lean, least, np.pi / 2)), max(length, 0.0) / self.scale
 
     def room(self, lean, soil):
         """See `Tool`, and `payload`."""

@@ -32,7 +32,7 @@ QUANTITIES = (
     *(f'{load}_{error}' for load in ('force', 'drawbar', 'vertical', 'pitch')
       for error in ('relative_l2', 'rmse', 'peak_error')),
     'side_rmse', 'height_mm', 'travel_mm', 'flagged_share', 'bound_kept', 'bound_newton',
-    'near_95_mm',
+    'near_95_mm', 'payload_litre', 'true_payload_litre', 'payload_error_litre',
 )  # fmt: skip
 # Of the cases of the ladder whose solutions tell the truth's own errors: how their names begin.
 _LADDERS = {'blade': 'excavation', 'wheel': 'wheel'}

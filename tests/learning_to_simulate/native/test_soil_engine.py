@@ -221,7 +221,7 @@ def test_other_soils_sizes_members_and_walls():
 
 def test_a_step_may_take_long():
     """What is slow resembles training: of speeds only the largest is a limit."""
-    pair = both(flat(), made=ranged(speed=[0.05, 0.5]))
+    pair = both(flat(), made=ranged(speed=[0.0, 0.5]))
     way = poses(path(30, 0.4))
     drive(pair, way[:20])
     quick = pair[1].propose(way[20], DT)
@@ -497,6 +497,29 @@ def test_a_bucket_that_is_set_down_elsewhere_leaves_what_it_holds():
         assert one.frame.payload == 0 and volume(one) == pytest.approx(there, abs=1e-12)
     assert_ground(*pair)
     assert not drive(both(flat(), PLATE), scoop()[:-15])[0].payload
+
+
+def test_a_bucket_that_rolls_with_soil_in_it_is_flagged():
+    made, roll = ranged(lean=[-1.0, 1.0]), np.radians(5.0)
+    for way, reason in ((scoop()[:-15], 'roll'), (scoop()[:1] + np.eye(7)[1], '')):
+        pair = both(flat(), made=made)
+        for one in pair:
+            one.start(way[0])
+        for pose in way[1:]:
+            step(pair, pose)
+        rolled = np.append(way[-1][:3], turned(way[-1][3:], roll * pair[0].place.along))
+        assert step(pair, rolled)[0].now.reason[:4] == reason
+
+
+def test_a_bucket_that_presses_with_its_heel_is_flagged():
+    made, dig = ranged(lean=[-1.0, 1.0], pressed=[0.0, 1.0]), path(30, 0.3)[:-8] * [1, 1, 0]
+    u, y, _ = dig[-1]
+    for rise, reason in ((0.0, 'heel'), (0.15, '')):  # at its depth; about a pin over its edge
+        on = np.linspace(0.0, 1.0, 15)[1:, None]
+        curl = dig[-1] + on * [0.2, 0.0, 0.4] + np.sin(on * 0.4) * [0.0, rise, 0.0]
+        pair = both(flat(), made=made)
+        found = drive(pair, np.concatenate([dig, curl[:9]]))[0].now.reason
+        assert found[:4] == reason
 
 
 @THE_OTHER_TWO

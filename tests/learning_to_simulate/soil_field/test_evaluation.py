@@ -3,6 +3,7 @@ whose law is known."""
 
 import dataclasses
 import json
+import types
 
 import numpy as np
 import pytest
@@ -217,3 +218,22 @@ def test_the_formula_of_a_wheel_bears_its_load_and_pulls_where_it_slips():
     assert (force[20:, 0] > 0).all()  # forwards
     assert ((torque @ place.across)[20:] > 0).all()  # against the roll
     assert evaluation.formula(wheel._replace(machine=None)) is None
+
+
+def test_what_a_bucket_holds_in_the_air_is_told_by_its_weight():
+    way = worlds.path(3)[:30]
+    up = np.linspace(way[-1], way[-1] + [0.0, 0.2, 0.3], 21)[1:]
+    run = worlds.run(3, way=np.concatenate([way, up]))
+    bucket = run._replace(tool=dataclasses.replace(run.tool, bucket=1.0))
+    high = run.pose[:, 1] - run.tool.radius > run.tool.lifted
+    assert 5 < high[30:].sum() < 20 and not high[1:30].any()
+    unit = run.soil.density * run.soil.gravity * 1e-3  # N of a litre
+    predicted = np.zeros_like(run.force)
+    for force, litres in ((run.force, 0.5), (predicted, 2.0)):
+        force[high] = [3.0, -litres * unit, 0.0]
+    found = evaluation.payload_errors(types.SimpleNamespace(force=predicted), bucket)
+    expected = {'payload_litre': 2.0, 'true_payload_litre': 0.5, 'payload_error_litre': 1.5}
+    assert found == pytest.approx(expected)
+    assert evaluation.payload_errors(types.SimpleNamespace(force=predicted), run) == {}
+    stays = bucket._replace(pose=np.repeat(run.pose[20:21], 50, axis=0))
+    assert evaluation.payload_errors(types.SimpleNamespace(force=predicted), stays) == {}

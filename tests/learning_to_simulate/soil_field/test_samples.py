@@ -1,5 +1,7 @@
 """What networks learn from, against the arrays of a run."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -104,3 +106,18 @@ def test_an_episode_of_a_tool_whose_passages_are_renewed_has_the_memory_of_the_r
     memory = [samples.sweep.SCALARS.index('along_0'), samples.sweep.SCALARS.index('pace_3')]
     seen, known = (e.frames.scalars[:, 0, memory] for e in (part, whole))
     np.testing.assert_allclose(seen, known[4 : 4 + n], atol=1e-6)
+
+
+def test_a_bucket_teaches_until_it_is_lifted():
+    way = worlds.path(3)[:30]
+    up = np.linspace(way[-1], way[-1] + [0.0, 0.2, 0.2], 21)[1:]
+    run = worlds.run(3, way=np.concatenate([way, up]))
+    bucket = run._replace(tool=dataclasses.replace(run.tool, bucket=1.0))
+    assert samples.until_lifted(run) is run
+    whole = samples.until_lifted(bucket)
+    assert len(whole.pose) == len(whole.force) == len(whole.torque) < len(run.pose)
+    assert len(whole.heights) == len(whole.particles) == (len(whole.pose) - 1) // run.stride + 1
+    high = run.pose[: len(whole.pose) + run.stride, 1] - run.tool.radius
+    assert high[: len(whole.pose)].max() < run.tool.lifted + 0.01 < high[-1] + run.stride * 0.01
+    stays = bucket._replace(pose=run.pose[:30], force=run.force[:30], torque=run.torque[:30])
+    assert samples.until_lifted(stays) is stays

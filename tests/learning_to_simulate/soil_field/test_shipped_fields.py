@@ -393,10 +393,11 @@ def untaught():
         yield 'turning' if rim < 0.7 else '', wheel, braked * [sign, 1, sign], 0.0, 0.0
     for fall in (0.02, 0.1):
         yield 'crossfall' if fall > 0.05 else '', wheel, way('wheel', 80), fall, 0.0
-    # All plates that were taught lean back, all buckets forward; no edge lies between theirs.
+    # All plates that were taught lean back, no bucket pressed with its heel; no edge lies between
+    # theirs.
     bucket = lts.Blade(0.4, radius=0.004, bucket=1.0)
     for flag, tool, lean in (
-        ('', blade, 0.2), ('leans', blade, -0.3), ('', bucket, -0.3), ('leans', bucket, 0.3),
+        ('', blade, 0.2), ('leans', blade, -0.3), ('', bucket, -0.3), ('heel', bucket, 0.3),
         ('edge', lts.Blade(0.33, radius=0.007, length=0.3), 0.2),
         ('edge', lts.Blade(0.4, bucket=1.0), -0.3),
     ):  # fmt: skip

@@ -130,7 +130,7 @@ def test_a_tool_that_touches_the_soil_takes_its_foremost_place_along_without_a_j
     assert foremost(1e-4 + 1e-9) == foremost(0.01) == 0.005
 
 
-@pytest.mark.parametrize('lean_deg', [1.0, 30.0, 59.0, 88.0])
+@pytest.mark.parametrize('lean_deg', [1.0, 30.0, 59.0, 88.0, 130.0])
 @pytest.mark.parametrize('depth', [0.004, 0.03, 0.11])
 def test_soil_in_place_of_the_back_is_that_under_its_line(lean_deg, depth):
     """(26) of a plate that was put into level soil, which nothing has cut: a triangle, or less

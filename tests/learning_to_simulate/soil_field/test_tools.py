@@ -67,4 +67,6 @@ def test_the_back_of_a_plate_is_its_middle_line_and_of_a_bucket_its_floor():
         angle, length = tool.back(lean)
         assert angle == pytest.approx(np.arctan2(floor[1], floor[0]) - lean, abs=np.radians(4.0))
         assert length == pytest.approx(np.hypot(*floor), rel=0.15)
-    assert tool.back(np.radians(20.0))[0] == 0.0
+    curled = [np.degrees(tool.back(np.radians(lean))[0]) for lean in (20.0, 90.0)]
+    assert curled == pytest.approx([-12.0, -60.0])  # its heel is lower than its edge
+    assert Blade().back(2.0)[0] == 0.0

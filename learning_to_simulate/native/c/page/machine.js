@@ -23,6 +23,7 @@ class Machine {
   // About the tool's own axis across, N m.
   get pitch() { return dot(this.torque, turned(this.pose.slice(3), [0, 0, 1])); }
   get bound() { return this.c.page_bound(); }
+  get payload() { return this.c.page_payload(); }
   heights() { return this.doubles(this.c.page_heights(), this.n[0] * this.n[1]); }
 
   // Why the newest frame is not to be relied on, in words; '' while it is.

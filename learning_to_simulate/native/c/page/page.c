@@ -30,6 +30,7 @@ double *EXPORT(page_force)(void) { return result.force; }
 double *EXPORT(page_torque)(void) { return result.torque; }
 double *EXPORT(page_place)(void) { return result.pose.position; }
 double EXPORT(page_bound)(void) { return result.bound; }
+double EXPORT(page_payload)(void) { return result.payload; }
 int EXPORT(page_status)(void) { return result.now.status; }
 double *EXPORT(page_points)(int n) { return malloc(sizeof(double) * 3 * (size_t)n); }
 void EXPORT(page_free)(void *points) { free(points); }

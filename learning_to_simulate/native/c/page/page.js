@@ -264,6 +264,7 @@ class Page {
     this.scene.focus = f.map((v, i) => v + 0.12 * (aim[i] - v));
     const force = m.force, size = Math.hypot(...force), from = add(m.pose.slice(0, 3), [0, 1, 0], isWheel ? -0.9 * this.driver.tool[1] : 0.02);
     const arrow = size > 1e-3 * NEWTONS ? { from, to: add(from, force, Math.min(1 / NEWTONS, 0.6 * this.reach / size)), thick: 0.35 * this.reach } : null;
+    this.scene.setPayload(m.payload);
     this.scene.draw(this.grounds, tools, arrow, this.grains, RANGE, this.ghost ? 3 : this.reach);
   }
 

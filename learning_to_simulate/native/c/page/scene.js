@@ -72,6 +72,22 @@ class Solid {
   }
 }
 
+// Outline of the buckets that were taught, for a height of 0.353 m: the inside, from the lip backwards and up.
+const INSIDE = [[-0.002, 0.007], [0.213, 0.057], [0.264, 0.083], [0.3, 0.126], [0.315, 0.18], [0.308, 0.236], [0.279, 0.285], [0.233, 0.317], [0.178, 0.329]];
+const inBucket = (length, radius) => ([x, y]) => [x * length / 0.353, y * length / 0.353 - radius];
+
+// Soil of a volume in a bucket, in its own axes: on its floor, below a line from the lip to the back.
+function payloadSolid([width, radius, length], volume) {
+  const solid = new Solid(), low = INSIDE.slice(0, 6), end = low[5];
+  const top = low.map(([x]) => low[0][1] + (x - low[0][0]) / (end[0] - low[0][0]) * (end[1] - low[0][1]));
+  let area = 0;
+  for (let k = 0; k < 5; k++) area += (low[k + 1][0] - low[k][0]) * (top[k] + top[k + 1] - low[k][1] - low[k + 1][1]) / 2;
+  const full = Math.min(1, volume / (width * area * (length / 0.353) ** 2)), at = inBucket(length, radius);
+  const over = low.map(([x, y], k) => [x, y + full * (top[k] - y)]).map(at), under = low.map(at);
+  for (let k = 0; k < 5; k++) solid.prism([under[k], under[k + 1], over[k + 1], over[k]], -0.49 * width, 0.49 * width, [0.74, 0.62, 0.46]);
+  return solid;
+}
+
 // A tool [width, radius, length, bucket, plates, lugs, lug height] in its own axes: it looks along -x.
 function toolSolid(kind, [width, radius, length, bucket, plates, lugs, lug]) {
   const solid = new Solid(), steel = [0.55, 0.57, 0.6], dark = [0.25, 0.26, 0.28], paint = [0.84, 0.55, 0.16], half = width / 2;
@@ -93,10 +109,9 @@ function toolSolid(kind, [width, radius, length, bucket, plates, lugs, lug]) {
   const rounded = [];
   for (let k = 0; k <= 8; k++) rounded.push([radius * Math.cos(Math.PI + Math.PI * k / 8), radius * Math.sin(Math.PI + Math.PI * k / 8)]);
   if (bucket) {
-    // Outline of the buckets that were taught, from the lip backwards and up, of a height of 0.353 m.
-    const s = length / 0.353, at = ([x, y]) => [x * s, y * s - radius];
+    const at = inBucket(length, radius);
     const outer = [[0, 0], [0.22, 0.034], [0.279, 0.064], [0.321, 0.115], [0.339, 0.178], [0.331, 0.244], [0.297, 0.301], [0.243, 0.339], [0.178, 0.353]].map(at);
-    const inner = [[-0.002, 0.007], [0.213, 0.057], [0.264, 0.083], [0.3, 0.126], [0.315, 0.18], [0.308, 0.236], [0.279, 0.285], [0.233, 0.317], [0.178, 0.329]].map(at);
+    const inner = INSIDE.map(at);
     for (let k = 0; k < 8; k++) solid.prism([inner[k], outer[k], outer[k + 1], inner[k + 1]], -half, half, k ? paint : steel);
     const lip = at([0.178, 0.353]);
     if (plates) for (const z of [-half, half - 0.008]) for (let k = 0; k < 8; k++) solid.prism([lip, outer[k], outer[k + 1]], z, z + 0.008, steel);
@@ -271,7 +286,13 @@ class Scene {
     return { vao, count: data.length / 9 };
   }
 
-  setTool(kind, numbers) { this.tool = this.upload(toolSolid(kind, numbers)); }
+  setTool(kind, numbers) { Object.assign(this, { tool: this.upload(toolSolid(kind, numbers)), numbers, payload: 0 }); }
+
+  // What the bucket holds, m3.
+  setPayload(volume) {
+    if (volume !== this.payload && volume) this.load = this.upload(payloadSolid(this.numbers, volume));
+    this.payload = volume;
+  }
 
   // Draws all: grounds (`Ground`), tools [{pose}], arrow {from, to} or null, grains {data, count, size} or null.
   draw(grounds, tools, arrow, grains, range, reach) {
@@ -312,6 +333,7 @@ class Scene {
       gl.drawElements(gl.TRIANGLES, grounds.length > 1 ? this.count : this.near, gl.UNSIGNED_INT, 0);
     });
     tools.forEach((tool) => this.solid(this.tool, placed(tool.pose.slice(0, 3), tool.pose.slice(3)), view, light, eye, 1));
+    if (this.payload) this.solid(this.load, placed(middle, tools[0].pose.slice(3)), view, light, eye, 1);
     if (grains && grains.count) {
       gl.useProgram(this.grains.program);
       gl.bindVertexArray(this.points);

@@ -21,7 +21,7 @@ enum {
 #define LTS_SOIL_CHANNELS 7
 #define LTS_SOIL_UNDER_ALONG 11 /* places at which soil is looked for that has risen under a tool in the air */
 #define LTS_SOIL_UNDER_ACROSS 5
-#define LTS_SOIL_CONDITIONS 12  /* the last of what is judged */
+#define LTS_SOIL_CONDITIONS 13  /* the last of what is judged */
 #define LTS_SOIL_JUDGED_SPEED 3 /* where the speed is among what is judged */
 #define LTS_SOIL_JUDGED_OWN 5   /* and from where on the tool's own numbers are */
 /* Of the tool's numbers, those of its soil. */
@@ -88,7 +88,8 @@ struct lts_soil_model {
   int32_t n_column, n_beside;
   double beside_width, across[5]; /* across: where a strip is read, in its widths */
   /* Tool and soil, see `tools.py`. */
-  double taught_widths[2], rim, bucket_edge, floor_angle, floor_share, lean_length, standard_density, standard_gravity;
+  double taught_widths[2], rim, bucket_edge, floor_angle, floor_share, floor_falls, curl, lean_length;
+  double standard_density, standard_gravity;
   /* Passage. */
   double ahead, below_tool, even, max_step, set_down, factor[2]; /* factor: of (20) */
   double flat, steep, relaid, even_slope;                        /* of a slope that is seen as level */
@@ -96,7 +97,7 @@ struct lts_soil_model {
    * way of a passage. */
   double lifted, under, turned_back, strikes, backs, renewed_after;
   /* Payload, see `payload.py`. */
-  double shell, back_height, back_reach, inside[20], slips, slips_out, taken[2], curled;
+  double shell, back_height, back_reach, inside[20], slips, slips_out, taken[2], curled[2];
   double taken_along[6], taken_across[5], falls_ahead, falls_apart;
   /* Terrain: of soil that slides. */
   int32_t slides, unused_slides;

@@ -106,7 +106,8 @@ static double scooped(lts_soil *soil, const lts_passage *p, double room) {
     place_over_floor(&over, k, at);
     sum += fmax((double)risen[k] + cut_at(soil, p, at[0]), 0.0);
   }
-  const double *taken = soil->model->taken, curl = fmin(fmax(lean_of(p) / soil->model->curled, 0.0), 1.0);
+  const double *taken = soil->model->taken, *curled = soil->model->curled;
+  const double curl = fmin(fmax((lean_of(p) - curled[0]) / (curled[1] - curled[0]), 0.0), 1.0);
   const double kept = taken[0] + (taken[1] - taken[0]) * curl;
   return fmin(fmax(room - p->s.payload, 0.0), kept * over.inside * sum / (N_ALONG * N_ACROSS));
 }

@@ -113,13 +113,18 @@ static void find_conditions(const lts_soil *soil, const lts_passage *p, const lt
   const double *done = p->s.memory[LTS_SOIL_MEMORIES - 1], product = done[0] * done[2];
   const double slip = product < 0.0 ? product / hypot(done[0], done[2]) : fabs(done[2]);
   found[9] = is_blade ? done[2] : slip;
-  found[10] = is_blade ? (soil->tool.bucket != 0.0 ? -p->s.pose[2] : p->s.pose[2]) : 0.0;
+  found[10] = is_blade ? (soil->tool.bucket != 0.0 ? soil->model->curl - p->s.pose[2] : p->s.pose[2]) : 0.0;
   found[11] = fmax(soil->model->wall_beside - beside / soil->scale, 0.0);
+  found[12] = 0.0;
+  if (!is_blade || soil->tool.bucket == 0.0 || soil->model->floor_angle - p->s.pose[2] >= 0.0) return;
+  for (int j = 0; j < p->s.n_strip; ++j) {
+    found[12] = fmax(found[12], (double)soil->scalars[j][LTS_SOIL_OF_PASSAGE(soil->model, PRESSED)]);
+  }
 }
 
-/* Scalars, ground and conditions [n_judged]; in the air all is free but what the tool is. bears: whether soil acts on
- * the tool, negative where that is not known. */
-static void find_judged(const lts_soil *soil, const lts_passage *p, const lts_pose *pose, int bears,
+/* Scalars, ground and conditions [n_judged]; in the air all is free but what the tool is, and its roll where it holds
+ * soil. bears: whether soil acts on the tool, negative where that is not known. */
+static void find_judged(const lts_soil *soil, const lts_passage *p, const lts_pose *pose, int bears, int holds,
                         double *values) {
   const lts_soil_model *m = soil->model;
   enum { N_PATH = LTS_SOIL_JUDGED_OWN };
@@ -145,11 +150,15 @@ static void find_judged(const lts_soil *soil, const lts_passage *p, const lts_po
   for (int i = 0; i < m->n_judged; ++i) {
     if (i < N_PATH || i >= m->n_named) values[i] = m->middle[i];
   }
+  if (!holds) return;
+  double turns[3];
+  lts_place_turns(&p->s.place, pose, turns);
+  values[m->n_named + N_GROUND + 1] = turns[2];
 }
 
 /* Bits of all that is outside, and the first of them; or of what is not finite. */
-static int judge(const lts_soil *soil, const lts_passage *p, const lts_pose *pose, int bears, int is_finite,
-                 int frame, lts_judgement *found) {
+static int judge(const lts_soil *soil, const lts_passage *p, const lts_pose *pose, int bears, int holds,
+                 int is_finite, int frame, lts_judgement *found) {
   const lts_soil_model *m = soil->model;
   const int n = m->n_judged;
   double values[LTS_SOIL_SCALARS];
@@ -159,7 +168,7 @@ static int judge(const lts_soil *soil, const lts_passage *p, const lts_pose *pos
     *found = none;
     return LTS_NON_FINITE;
   }
-  find_judged(soil, p, pose, bears, values);
+  find_judged(soil, p, pose, bears, holds, values);
   for (int i = 0; i < n; ++i) {
     const double *limits = m->limits + i;
     if (values[i] >= limits[0] && values[i] <= limits[n]) continue;
@@ -217,7 +226,7 @@ static void answer(lts_soil *soil, lts_passage *p, const lts_pose *pose, const l
   p->s.bears = 0;
   for (int i = 0; i < 6; ++i) p->s.bears |= mean[i] != 0.0;
   /* A blade on its head may touch soil without a load. */
-  judge(soil, p, pose, loaded ? share > 0.0 : -1, is_finite, soil->frame, &out->now);
+  judge(soil, p, pose, loaded ? share > 0.0 : -1, held.area > 0.0, is_finite, soil->frame, &out->now);
   const double weight = soil->model->standard_density * soil->model->standard_gravity * held.weighs * soil->width;
   out->force[1] -= weight * soil->units[0];
   out->torque[0] -= weight * held.middle * soil->units[3] * p->s.place.across[0];

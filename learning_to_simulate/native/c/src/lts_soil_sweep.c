@@ -125,10 +125,11 @@ static void find_pressed(const lts_soil *soil, const lts_passage *p, double foun
   for (int j = 0; j < p->s.n_strip; ++j) found[j] = 0.0;
   if (m->kind != LTS_SOIL_BLADE) return;
   const double right = 0.5 * LTS_PI; /* `Blade.back` */
-  const double angle = fmin(fmax((is_bucket ? m->floor_angle : right) - p->s.pose[2], 0.0), right);
+  const double least = is_bucket ? m->floor_falls : 0.0;
+  const double angle = fmin(fmax((is_bucket ? m->floor_angle : right) - p->s.pose[2], least), right);
   const double length = fmax((is_bucket ? m->floor_share : 1.0) * tool->length - 2.0 * tool->radius, 0.0);
   const double sine = sin(angle), cosine = cos(angle), du = m->spacing, last = length / soil->scale * cosine;
-  const double slope = fmax(sine / fmax(cosine, 1e-9), 1e-6);
+  const double rises = sine / fmax(cosine, 1e-9), slope = fabs(rises) > 1e-6 ? rises : 1e-6;
   const double from = p->s.pose[0] - p->s.origin - soil->radius * sine; /* where it leaves the circle */
   const double level = p->s.pose[1] - soil->radius * cosine;
   const int begin = (int)fmax(floor((from - last) / du) + m->n_behind, 0.0);
