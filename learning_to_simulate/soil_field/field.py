@@ -145,7 +145,7 @@ class SoilField:
         """[T, N] numbers that say whether frames of one tool are like those of training, see
         `judged_names`; `conditions` are [T, C] of `CONDITIONS` (None: all as they should be),
         `bears` says whether soil acts on the tool, where that is known, see `contact`; `holds`
-        whether it holds soil: nothing says what of it runs out as it rolls."""
+        whether it holds soil, which runs out by lean and roll."""
         columns = self.networks.scalars
 
         def first(name):
@@ -180,7 +180,7 @@ class SoilField:
             touches[:] = bears
         free = np.zeros(len(self.judged_names), bool)
         free[: len(_SCALARS)] = free[len(names) :] = True
-        free[self.judged_names.index('roll')] = not holds
+        free[[self.judged_names.index(name) for name in ('lean', 'roll')]] = not holds
         if conditions is None:
             conditions = np.zeros((len(values), len(CONDITIONS)))
         values = np.concatenate([values, np.asarray(conditions, np.float64)], axis=1)

@@ -36,6 +36,7 @@ class TerrainRollout(Judged):
       judgement: the worst, and where it is first.
       dt: s of a frame.
       seconds: that the computation took.
+      payload: float64 [T], m3 of soil in a bucket, or None of a run that was refused.
       particles: float32 [F, P, 3], m, of a recorded run that has particles; else None.
       run: `runs.Run` that was followed, or None of a path that nobody recorded.
       name: for files.
@@ -54,6 +55,7 @@ class TerrainRollout(Judged):
     judgement: Judgement = OK
     dt: float = DT
     seconds: float = 0.0
+    payload: np.ndarray | None = None
     particles: np.ndarray | None = None
     run: Run | None = None
     name: str = 'rollout'
@@ -89,6 +91,8 @@ class TerrainRollout(Judged):
             'soil': np.array(json.dumps(dataclasses.asdict(self.before.soil))),
         }
         found |= {key: np.array(value) for key, value in self.judgement.fields().items()}
+        if self.payload is not None:
+            found['payload'] = self.payload
         if self.particles is not None:
             found['predicted_particles'] = self.particles
         if self.run is not None:
@@ -176,6 +180,7 @@ def roll_out(
         judgement=frames[-1].judgement,
         dt=dt,
         seconds=time.perf_counter() - clock,
+        payload=np.array([frame.payload for frame in frames]),
         particles=np.stack(followed) if followed else None,
         **more,
     )

@@ -95,7 +95,7 @@ def parts_of_run(field: SoilField, run: Run, copies=True) -> tuple[list, list]:
     """What is judged of a run [T, J], by episode, and the samples (name of a network, `Part`) of it
     and its copies. Its places are a draw of its name: all seeds learn from the same ones."""
     networks, values, parts = field.networks, [], []
-    run = samples.until_lifted(run)
+    whole, run = run, samples.until_lifted(run)
     name = zlib.crc32(f'{run.kind} {run.case}'.encode())
     rng = np.random.Generator(np.random.Philox(key=0, counter=[0, 0, 9, name]))
     # What a wheel does forwards, it does backwards.
@@ -105,7 +105,10 @@ def parts_of_run(field: SoilField, run: Run, copies=True) -> tuple[list, list]:
         for start, episode in samples.episodes_of(each):
             motion = samples.motion_of(episode) if motion is None else motion
             if not start or np.isfinite(run.tool.renewed_after):
-                values.append(field.judged(episode.frames))  # a renewed passage begins like that
+                seen = field.judged(episode.frames)  # a renewed passage begins like that
+                if run is not whole:  # where a bucket lifts it is faster than tools go in the soil
+                    seen[:, [field.judged_names.index(name) for name in ('speed', 'along')]] = 0.0
+                values.append(seen)
             parts.append(('load', samples.load_part(networks, each, episode)))
             parts.append(('surface', samples.surface_part(networks, episode, motion, rng)))
         if each.particles is not None:

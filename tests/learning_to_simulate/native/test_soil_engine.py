@@ -499,7 +499,7 @@ def test_a_bucket_that_is_set_down_elsewhere_leaves_what_it_holds():
     assert not drive(both(flat(), PLATE), scoop()[:-15])[0].payload
 
 
-def test_a_bucket_that_rolls_with_soil_in_it_is_flagged():
+def test_a_bucket_that_rolls_or_turns_over_with_soil_in_it_is_flagged():
     made, roll = ranged(lean=[-1.0, 1.0]), np.radians(5.0)
     for way, reason in ((scoop()[:-15], 'roll'), (scoop()[:1] + np.eye(7)[1], '')):
         pair = both(flat(), made=made)
@@ -509,6 +509,9 @@ def test_a_bucket_that_rolls_with_soil_in_it_is_flagged():
             step(pair, pose)
         rolled = np.append(way[-1][:3], turned(way[-1][3:], roll * pair[0].place.along))
         assert step(pair, rolled)[0].now.reason[:4] == reason
+        over = poses([[0.45, 0.7, 1.3]])[0]
+        over[:3] = way[-1][:3]
+        assert step(pair, over)[0].now.reason[:4] == reason.replace('roll', 'lean')
 
 
 def test_a_bucket_that_presses_with_its_heel_is_flagged():

@@ -182,3 +182,17 @@ def test_the_loss_of_the_mean_of_the_members():
     expected = np.average(((rise - part.target) * 20.0) ** 2, weights=part.weight)
     found = training.loss_of(lambda x, _: field.networks.moved_of('surface', *x), 20.0, [part])
     assert found == pytest.approx(expected, rel=1e-4)
+
+
+def test_where_a_bucket_lifts_it_is_faster_than_tools_go_in_the_soil():
+    field = training.make_field(worlds.CONFIG, 'blade', worlds.SMALL)
+    way = worlds.path(3)[:30]
+    up = np.linspace(way[-1], way[-1] + [0.0, 0.2, 0.2], 21)[1:]
+    run = worlds.run(3, way=np.concatenate([way, up]))
+    bucket = run._replace(tool=dataclasses.replace(run.tool, bucket=1.0))
+    names = field.judged_names
+    for each, counts in ((run, True), (bucket, False)):
+        seen = np.concatenate(training.parts_of_run(field, each, copies=False)[0])
+        for name in ('speed', 'along'):
+            assert (seen[:, names.index(name)].max() > 0.05) == counts
+        assert seen[:, names.index('depth')].max() > 0.01

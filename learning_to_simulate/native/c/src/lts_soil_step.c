@@ -122,8 +122,8 @@ static void find_conditions(const lts_soil *soil, const lts_passage *p, const lt
   }
 }
 
-/* Scalars, ground and conditions [n_judged]; in the air all is free but what the tool is, and its roll where it holds
- * soil. bears: whether soil acts on the tool, negative where that is not known. */
+/* Scalars, ground and conditions [n_judged]; in the air all is free but what the tool is, and where it holds soil its
+ * lean and roll. bears: whether soil acts on the tool, negative where that is not known. */
 static void find_judged(const lts_soil *soil, const lts_passage *p, const lts_pose *pose, int bears, int holds,
                         double *values) {
   const lts_soil_model *m = soil->model;
@@ -147,10 +147,12 @@ static void find_judged(const lts_soil *soil, const lts_passage *p, const lts_po
     find_conditions(soil, p, pose, values + m->n_named + N_GROUND);
     return;
   }
+  const double lean = values[0];
   for (int i = 0; i < m->n_judged; ++i) {
     if (i < N_PATH || i >= m->n_named) values[i] = m->middle[i];
   }
   if (!holds) return;
+  values[0] = lean;
   double turns[3];
   lts_place_turns(&p->s.place, pose, turns);
   values[m->n_named + N_GROUND + 1] = turns[2];
