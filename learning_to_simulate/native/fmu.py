@@ -114,7 +114,7 @@ def layout_of(values: dict, tools: int = 1) -> Layout:
     return Layout(body, [*reals.items(), *others], lines)
 
 
-N_OF_TOOL = 31 + HEIGHTS[0] * HEIGHTS[1] + len(_SHAPE)  # VR_TOOL of fmu.c
+N_OF_TOOL = 32 + HEIGHTS[0] * HEIGHTS[1] + len(_SHAPE)  # VR_TOOL of fmu.c
 
 
 def _of_tool(body, index, place, tool):
@@ -139,6 +139,7 @@ def _of_tool(body, index, place, tool):
         Variable(f'sinkage{index}', 'm', 'output',
                  'depth of the lowest point under the terrain as it began'),
         Variable(f'drawbar_pull{index}', 'N', 'output', 'force along the way the tool looks'),
+        Variable(f'payload{index}', 'm3', 'output', 'soil in a bucket, which weighs on it'),
         *(Variable(f'ground{index}.height[{i + 1},{j + 1}]', 'm', 'output',
                    f'of the terrain, {i - HEIGHTS[0] // 2} terrain.grid ahead of the tool and '
                    f'{j - HEIGHTS[1] // 2} across')
@@ -183,6 +184,7 @@ _UNITS = {
     'N.m': {'kg': '1', 'm': '2', 's': '-2'},
     'deg': {'rad': '1', 'factor': repr(math.pi / 180)},
     'kg/m3': {'kg': '1', 'm': '-3'},
+    'm3': {'m': '3'},
     'm/s2': {'m': '1', 's': '-2'},
 }
 _LOG_CATEGORIES = {

@@ -226,7 +226,8 @@ class TfEngine:
             share = self._field.contact(passage, self._members) * (1.0 - held.replaces)
             loads, bears = share * loads, share > 0
         mean = loads.mean(axis=0)
-        passage.bears = bool(mean.any())
+        # A bucket that is about to take soil up stays with the soil that it has cut.
+        passage.bears = bool(mean.any()) or held.weighs > held.area
         found = self._conditions(passage, pose)[None]
         values = self._field.judged(frame, found, bears, held.area > 0)
         now = self._field.limits.judge(values, self._number, bool(np.isfinite(mean).all()))

@@ -66,7 +66,7 @@ class Passage:
       level: height that those of frames count from, m of the field.
       gone: cells that the bins have left in the last step, to be settled.
       payload: m2 of the field, soil in the bucket when it was last in the air.
-      bears: whether the soil bears on the tool in the newest frame.
+      bears: whether the soil bears on the tool in the newest frame, or is about to be taken up.
 
     Raises:
       ValueError: see `place_of`.

@@ -178,7 +178,8 @@ def _draw(rng, scene, kind, tool) -> tuple[Drive, dict]:
     story = _Story(rng, -clearance, rng.uniform(*leans), leans)
     pin = np.zeros(2)
     if kind == 'scoop':
-        # The way that is drawn is that of a pin, told as that of the edge at this lean.
+        # The way that is drawn is that of a pin, told as that of the edge at this lean; the back of
+        # a bucket has a radius of 0.42 heights.
         story = _Story(rng, -clearance, rng.uniform(-30.0, -8.0), leans)
         pin = 0.42 * np.ptp(body.outline[:, 1]) * np.array(PIN)
     hung, plot = math.radians(-story.last('lean')), kind

@@ -132,7 +132,8 @@ def _ground():
 
 
 # Down, then along and up, in N steps with a velocity and a turn about z.
-WAYS = [(20, [-0.3, -0.15, 0.0], 0.6), (40, [-0.4, 0.0, 0.0], -0.25), (6, [-0.3, 0.05, 0.5], 0.0)]
+WAYS = [(20, [-0.3, -0.15, 0.0], 0.6), (40, [-0.4, 0.0, 0.0], -0.25), (6, [-0.3, 0.05, 0.5], 0.0),
+        (24, [-0.1, 0.6, 0.0], -2.0)]  # fmt: skip
 
 
 def _go(start, radius=np.inf):
@@ -150,7 +151,8 @@ def _outputs(slave, index):
     ends = ('force', 'xyz'), ('moment', 'xyz')
     spreads = [(f'{part}_spread', ('along', 'up', 'across')) for part in ('force', 'moment')]
     names = [f'{slave.body}_load{index}.{n}.{end}' for n, some in (*ends, *spreads) for end in some]
-    return slave.reals(*names, *(f'{n}{index}' for n in ('sinkage', 'drawbar_pull', 'force_bound')))
+    single = 'sinkage', 'drawbar_pull', 'force_bound', 'payload'
+    return slave.reals(*names, *(f'{n}{index}' for n in single))
 
 
 @pytest.mark.parametrize(
@@ -187,7 +189,7 @@ def test_an_fmu_is_valid_and_equals_steppers(soils, kind, flag, share, height, t
             frame = live.step(np.append(inputs['pos'], inputs['rot']), H)
             sunk = 0.1 - (frame.pose[1] - tool.radius)
             found.append(_outputs(slave, index))
-            rest = [*frame.spread, sunk, -frame.force[0], -1.0]
+            rest = [*frame.spread, sunk, -frame.force[0], -1.0, frame.payload]
             expected.append([*frame.force, *frame.torque, *rest])
             status = {n: slave.vr[f'status{index}.{n}'] for n in ('ok', 'ok_now', 'extrapolating')}
             said = slave.c.getString([slave.vr[f'status{index}.text']])[0].decode()
@@ -195,13 +197,15 @@ def test_an_fmu_is_valid_and_equals_steppers(soils, kind, flag, share, height, t
             assert said == frame.reason and slave.c.getBoolean(list(status.values())) == ok
     largest = np.abs(expected).max()
     assert np.abs(expected).max(axis=0)[[0, 1, 5, 6]].min() > 1e-3
+    # A bucket takes up what it has cut, although it has left its plane in the soil.
+    assert (max(frame[-1] for frame in expected) > 1e-4) == (kind == 'blade')
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=share * largest)
     # The number of the measure is that of its name.
     frame = lives[0].frame
     assert frame.reason.startswith(f'{flag} ')
     (number,) = slave.c.getInteger([slave.vr[f'status{indices[0]}.reason']])
     assert field.judged_names[number - 1] == flag
-    assert [text for _, text in slave.logged if text.endswith(frame.now.reason.split()[-1])]
+    assert [text for _, text in slave.logged if text.endswith(frame.reason.split()[-1])]
     axes = [terrain.cell[i] * (np.arange(terrain.shape[i]) + 0.5) for i in range(2)]
     between = RegularGridInterpolator(axes, terrain.heights)
     for index, live in zip(indices, lives):

@@ -73,6 +73,7 @@ enum {
   VR_BOUND = VR_SPREAD + 6,
   VR_SINKAGE,
   VR_DRAWBAR,
+  VR_PAYLOAD,
   VR_HEIGHTS,
   VR_SHAPE = VR_HEIGHTS + FMU_ALONG * FMU_ACROSS, /* the first parameter: lts_soil_tool */
   VR_TOOL = VR_SHAPE + 7
@@ -223,6 +224,7 @@ static void take(component *c, int tool, const lts_soil_result *r) {
   real[VR_SINKAGE] = c->v.real[VR_HEIGHT] - (r->pose.position[1] - real[VR_SHAPE + 1]);
   lts_soil_place(c->model.soil[tool], place);
   real[VR_DRAWBAR] = place[3] * r->force[0] + place[5] * r->force[2];
+  real[VR_PAYLOAD] = r->payload;
   c->model.shown[tool] = 0;
   const int fresh = r->now.status & ~c->v.told[tool];
   c->v.told[tool] |= r->now.status;

@@ -225,7 +225,8 @@ static void answer(lts_soil *soil, lts_passage *p, const lts_pose *pose, const l
                    : weights[0] * soil->units[0] + weights[1] * apart + weights[2] * size;
   lts_place_unlaid(&p->s.place, mean, out->force);
   lts_place_unlaid(&p->s.place, mean + 3, out->torque);
-  p->s.bears = 0;
+  /* A bucket that is about to take soil up stays with the soil that it has cut. */
+  p->s.bears = held.weighs > held.area;
   for (int i = 0; i < 6; ++i) p->s.bears |= mean[i] != 0.0;
   /* A blade on its head may touch soil without a load. */
   judge(soil, p, pose, loaded ? share > 0.0 : -1, held.area > 0.0, is_finite, soil->frame, &out->now);
