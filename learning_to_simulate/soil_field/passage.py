@@ -321,7 +321,7 @@ class Passage:
 
     @property
     def _inside(self):
-        return payload.BACK_REACH * payload.radius(self.tool.length / self.scale)  # type: ignore[attr-defined]
+        return payload.reach(self.tool.length / self.scale)  # type: ignore[attr-defined]
 
     def _cut_at(self, u):
         """Mean cut of the strips under the tool at places u [k] from the origin, m of the field."""

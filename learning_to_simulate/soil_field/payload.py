@@ -44,6 +44,11 @@ def radius(length: float) -> float:
     return max(length - SHELL, 0.0) / BACK_HEIGHT
 
 
+def reach(length: float) -> float:
+    """How far a bucket of a height reaches behind its edge, m."""
+    return BACK_REACH * radius(length)
+
+
 class Room(NamedTuple):
     """For how much soil a bucket has room, m2; how far ahead of its edge the middle of that is, m;
     1 where the floor holds soil, 0 where all slides out."""

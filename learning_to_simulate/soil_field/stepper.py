@@ -121,7 +121,7 @@ class SoilStepper:
             ahead, _, across = np.moveaxis(
                 place_of(pose).local(np.stack([x, 0 * x, z], axis=-1)), -1, 0
             )
-            long = scale * payload.BACK_REACH * payload.radius(self.tool.length / scale)  # type: ignore[attr-defined]
+            long = scale * payload.reach(self.tool.length / scale)  # type: ignore[attr-defined]
             there = (ahead <= 0) & (ahead > -long) & (np.abs(across) <= self.tool.width / 2)
             found[there] += held / max(there.sum(), 1) / np.prod(self.terrain.cell)
         return found

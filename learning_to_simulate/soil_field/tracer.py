@@ -69,7 +69,7 @@ class Followed:
         held = np.flatnonzero(self._held)
         if volume > before:
             # The highest behind the edge, over the terrain now that this soil is gone.
-            behind = (ahead <= 0.0) & (ahead > -payload.BACK_REACH * payload.radius(length))
+            behind = (ahead <= 0.0) & (ahead > -payload.reach(length))
             behind &= ~self._held & (np.abs(across) <= tool.width / scale / 2)
             over = np.where(behind, points[:, 1] - t.at(points[:, 0], points[:, 2]), -np.inf)
             count = min(round((volume - before) * self._density), int(behind.sum()))
