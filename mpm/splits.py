@@ -39,6 +39,7 @@ RUNS = {
         'brief': 60,
         'gravity': 40,
         'scoop': 30,
+        'plunge': 40,
     },
     'wheel': {
         **dict.fromkeys(('slip', 'stops', 'reverse', 'load'), 30),

@@ -71,7 +71,7 @@ def values(field) -> dict:
         raise ValueError('a soil field whose networks have no hidden layers has no C form')
     scalars = network.names_of(tool)
     kind = c['LTS_SOIL_WHEEL'] if tool.bears else c['LTS_SOIL_BLADE']
-    layers = {name: _numpy(getattr(networks, name)) for name in network.HIDDEN}
+    layers = {name: _numpy(getattr(networks, name)) for name in network.NETWORKS}
     w, b = layers['load'][0]
     n_own = len(tabled.load)
     result: dict = {

@@ -295,7 +295,7 @@ def load(path: str) -> SoilField:
         values = stored['field']
         tool = TOOLS[values['tool']]
         ranges = {str(k): [float(x) for x in v] for k, v in values['ranges'].items()}
-        hidden = {k: tuple(int(n) for n in values['hidden'][k]) for k in network.HIDDEN}
+        hidden = {k: tuple(int(n) for n in values['hidden'][k]) for k in network.NETWORKS}
         bounds = _bounds(values.get('bounds', {}))
 
     def make():
@@ -322,7 +322,7 @@ def _bounds(stored):
 def _weights(networks) -> dict:
     return {
         f'{name}/{i}/{kind}': variable
-        for name in network.HIDDEN
+        for name in network.NETWORKS
         for i, layer in enumerate(getattr(networks, name).layers)
         for kind, variable in zip(('weight', 'bias'), layer, strict=True)
     }

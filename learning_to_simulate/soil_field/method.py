@@ -59,7 +59,8 @@ def train(data_path, model_path, config, options) -> dict:
             tool = one_tool(runs + valid, data_path)
             made = training.make_field(config, tool, first=first)
             steps = ', '.join(
-                f'{name} {longer * config.num_steps}' for name, (_, longer, _) in SCHEDULES.items()
+                f'{name} {longer * config.num_steps}'
+                for name, (_, longer, _) in SCHEDULES[tool].items()
             )
             print(f'{config.preset}: {len(runs)} runs of a {tool}; steps: {steps}')
             # The ranges of a field are those of the runs that come last.

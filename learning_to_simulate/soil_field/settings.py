@@ -36,6 +36,10 @@ class SoilFieldConfig(Settings):
 
 
 PRESETS = {'soil_field': SoilFieldConfig('soil_field')}
-# By network: rows of `samples` that a step takes; times `num_steps`; times `learning_rate`. Loads
-# are few, and learned by heart; places are many.
-SCHEDULES = {'load': (512, 1, 1.0), 'surface': (1024, 3, 2.0), 'soil': (1024, 3, 2.0)}
+# By tool and network: rows of `samples` that a step takes; times `num_steps`; times
+# `learning_rate`. Loads are few, those of a wheel learned by heart; places are many.
+_PLACES = dict.fromkeys(('surface', 'soil'), (1024, 3, 2.0))
+SCHEDULES = {
+    'blade': {'load': (512, 2, 1.0), **_PLACES},
+    'wheel': {'load': (512, 1, 1.0), **_PLACES},
+}

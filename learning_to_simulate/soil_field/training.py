@@ -23,7 +23,7 @@ ROWS = 2048  # that a loss is computed of at a time
 # drawbar is what is asked of a wheel, and a fraction of what it bears.
 COMPONENTS = {'blade': (1, 1, 0.5, 1, 1, 3), 'wheel': (3, 1, 0, 0, 0, 8)}
 # Share of a run's root mean square of force beyond which errors of the load count by their length.
-ROBUST = 0.3
+ROBUST = {'blade': 0.15, 'wheel': 0.3}
 # Standard deviations of what is added to the inputs of the load, which are of order one: to all of
 # them; and to some that say the tool, the same for all its strips. Else the networks learn by heart
 # the runs of a blade, and the few tools that there are. Those of a wheel err more with the first.
@@ -77,7 +77,7 @@ def parts_of(field: SoilField, runs: list[Run], progress=iter, copies=True) -> d
     if not runs:
         raise ValueError('no runs to learn from')
     values: list = []
-    pools: dict[str, dict] = {name: {} for name in network.HIDDEN}
+    pools: dict[str, dict] = {name: {} for name in network.NETWORKS}
     for run in progress(runs):
         judged, parts = parts_of_run(field, run, copies)
         values += judged
@@ -164,7 +164,7 @@ def fit(field: SoilField, pools: dict[str, list], progress=True, saved=None, hel
         others = held[name] if held else []
         before = loss_of(*how, others)
         noise = _noise(networks) if name == 'load' else None
-        losses[f'loss_{name}'] = _fit(part, *how, name, parts, config, noise, progress, saved)
+        losses[f'loss_{name}'] = _fit(networks, *how, name, parts, config, noise, progress, saved)
         after = loss_of(*how, others)
         if others:
             stays = after >= before
@@ -204,9 +204,9 @@ def loss_of(call, scale, pools) -> float:
     return total / weights if weights else 0.0
 
 
-def _fit(part, call, scale, name, pools, config, noise, progress, saved=None):
-    variables = part.trainable_variables
-    batch, longer, faster = SCHEDULES[name]
+def _fit(networks, call, scale, name, pools, config, noise, progress, saved=None):
+    tool, variables = networks.tool.name, getattr(networks, name).trainable_variables
+    batch, longer, faster = SCHEDULES[tool][name]
     num_steps = longer * config.num_steps
     schedule = tf.keras.optimizers.schedules.CosineDecay(faster * config.learning_rate, num_steps)
     optimizer = tf.keras.optimizers.Adam(schedule, global_clipnorm=CLIP_NORM)
@@ -214,7 +214,7 @@ def _fit(part, call, scale, name, pools, config, noise, progress, saved=None):
     counts = np.array([len(pool.weight) for pool in pools])
     mean = sum(pool.weight.sum(dtype=np.float64) for pool in pools) / counts.sum()
     # ROBUST in the unit of errors: weights of a load are 1 over the mean square of a run.
-    limit = float((ROBUST / network.FORCE) ** 2 / mean) if name == 'load' else 0.0
+    limit = float((ROBUST[tool] / network.FORCE) ** 2 / mean) if name == 'load' else 0.0
     # Pools are drawn from by their shares.
     sizes = np.maximum(np.rint(batch * counts / counts.sum()), 1).astype(int)
 

@@ -38,8 +38,9 @@ from mpm.motions.drive import Drive, Levels, Track, poses
 
 TURNS = ('smooth', 'stops', 'reverse', 'lift', 'disturbed')  # of seeds, if no kind is named
 KINDS = (*TURNS, 'halts', 'beside', 'soils', 'tools', 'trench', 'spread', 'backdrag',
-         'brief', 'gravity', 'scoop')  # fmt: skip
+         'brief', 'gravity', 'scoop', 'plunge')  # fmt: skip
 BRIEF = ('brief', 'gravity')  # with a tool and a soil of their own
+DOWN = (*BRIEF, 'plunge')  # straight down somewhere, near walls as well
 BINS = {'beside': 'wide', 'tools': 'wide', 'trench': 'long'}  # the others: the scene's own
 MAX_DEPTH, MIN_DEPTH = 0.10, 0.01  # m, of the edge below the flat surface
 MAX_SPEED = 0.15  # m/s along the bed
@@ -67,11 +68,11 @@ TRENCH = (1.2, 1.5)  # m
 LAYERS = 0.003, 0.038  # m, of the edge above the bed
 LEAST_SPREAD_FRAMES, LEAST_BACKDRAG = 40, 0.12  # m
 # Of the other kinds: the scene's own, or `_trench`'s.
-FRAMES = {'spread': 220, 'backdrag': 290, 'brief': 110, 'gravity': 110, 'scoop': 400}
+FRAMES = {'spread': 220, 'backdrag': 290, 'brief': 110, 'gravity': 110, 'scoop': 400, 'plunge': 140}
 # Of drawn tools.
 WIDTHS = (0.15, 0.60)  # m
 BRIEF_WIDTHS = (0.15, 0.40)  # m, in a bin that is half as wide
-BRIEF_START = (0.30, 0.82)  # m
+DOWN_START = (0.30, 0.82)  # m
 BLADE_HEIGHTS = (0.15, 0.40)  # m
 EDGE_RADII = (0.008, 0.018)  # m, of blades
 BUCKET_RADII = (0.08, 0.16)  # m
@@ -169,8 +170,8 @@ def _draw(rng, scene, kind, tool) -> tuple[Drive, dict]:
         leans = BUCKET_LEANS
     clearance = rng.uniform(grid.TIP_CLEARANCE, 0.03)
     start_x = grid.blade_start(scene)[0]
-    if kind in BRIEF:
-        start_x, clearance = rng.uniform(*BRIEF_START), grid.TIP_CLEARANCE
+    if kind in DOWN:
+        start_x, clearance = rng.uniform(*DOWN_START), grid.TIP_CLEARANCE
     elif kind != 'trench' and rng.random() < _ELSEWHERE_SHARE:
         start_x = rng.uniform(0.55, start_x + 0.02)
     else:
@@ -266,7 +267,7 @@ def _is_fine(box, drive, parameters) -> bool:
     depth = box.surface - y - bodies.lowest(drive.body, angle)
     if plot == 'scoop':  # the heel may press, as that of an excavator does
         return x.min() >= scenes.CORNER + FRONT_ROOM
-    if plot in BRIEF:  # near walls as well
+    if plot in DOWN:
         return x.min() >= scenes.CORNER + FRONT_ROOM / 2
     if x.min() < scenes.CORNER + FRONT_ROOM or _is_squeezing(x, y, angle, depth, box):
         return False
@@ -383,6 +384,26 @@ def _brief(rng, story, end) -> None:
         story.go(rng.uniform(0.2, 0.5), _cut_speed(rng), _cut_depth(rng))
 
 
+def _plunge(rng, story, end) -> None:
+    """Straight down, then any of: a halt, deeper, out and down again at the same place, on."""
+    lean = story.last('lean')
+    story.go(rng.uniform(0.2, 0.8), 0.0, rng.uniform(0.02, 0.09), lean)
+    while story.time < end:
+        depth, what = story.last('depth'), rng.choice(['halt', 'deeper', 'again', 'on'])
+        if what == 'halt':
+            story.wait(rng.uniform(0.1, 0.4))
+        elif what == 'deeper':
+            depth = min(depth + rng.uniform(0.005, 0.03), MAX_DEPTH)
+            story.go(rng.uniform(0.2, 0.5), 0.0, depth, lean)
+        elif what == 'again':
+            story.go(rng.uniform(0.2, 0.5), 0.0, -rng.uniform(0.0, 0.03), lean)
+            depth = float(np.clip(depth + rng.uniform(-0.01, 0.02), MIN_DEPTH, MAX_DEPTH))
+            story.go(rng.uniform(0.2, 0.5), 0.0, depth, lean)
+        else:
+            story.go(rng.uniform(0.2, 0.5), _cut_speed(rng), lean=lean)
+            story.go(rng.uniform(0.1, 0.3), 0.0, lean=lean)
+
+
 def _scoop(rng, story, end) -> None:
     story.go(rng.uniform(0.4, 0.6), 0.05, rng.uniform(0.02, 0.06), story.last('lean'))
     story.go(rng.uniform(0.8, 1.8), rng.uniform(0.08, MAX_SPEED), lean=story.last('lean'))
@@ -412,7 +433,7 @@ def _trench(rng, story, end) -> None:
 PLOTS = {
     'smooth': _smooth, 'halts': _smooth, 'stops': _stops, 'reverse': _reverse, 'lift': _lift,
     'spread': _spread, 'backdrag': _backdrag, 'brief': _brief, 'gravity': _brief,
-    'trench': _trench, 'scoop': _scoop,
+    'trench': _trench, 'scoop': _scoop, 'plunge': _plunge,
 }  # fmt: skip
 
 

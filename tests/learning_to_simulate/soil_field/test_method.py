@@ -75,19 +75,19 @@ def test_a_killed_training_goes_on_to_the_same_weights(model, folders, tmp_path,
     def killed(saved, name, step, *rest):
         keep(saved, name, step, *rest)
         calls.append((name, step))
-        if len(calls) == 9:  # within the second network
+        if len(calls) == 15:  # within the second network
             raise KeyboardInterrupt
 
     monkeypatch.setattr(method.Saved, 'keep', killed)
     with pytest.raises(KeyboardInterrupt):
         registry.train(','.join(folders), path, model.config, save_every=2)
     stored = files.read_npz(f'{path}/training.npz')
-    assert (stored['load/step'], stored['surface/step']) == (6, 2)
+    assert (stored['load/step'], stored['surface/step']) == (12, 2)
     with pytest.raises(ValueError, match='with other settings or data'):
         other = dataclasses.replace(model.config, seed=1)
         registry.train(','.join(folders), path, other, save_every=2)
     registry.train(','.join(folders), path, model.config, save_every=2)
-    assert calls[9] == ('surface', 3) and calls.count(('load', 6)) == 1
+    assert calls[15] == ('surface', 3) and calls.count(('load', 12)) == 1
     assert same(path, model.path) and not (tmp_path / 'killed' / 'training.npz').exists()
 
 

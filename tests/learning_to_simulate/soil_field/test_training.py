@@ -138,7 +138,7 @@ def test_a_training_that_starts_from_another_field():
     near = training.make_field(config, 'blade', first=first)
     training.fit(near, {'load': pools['load']}, progress=False)
     moved = np.abs(near.networks.load.layers[0][0].numpy() - before).max()
-    assert 0 < moved < 1.01e-4  # a step of Adam
+    assert 0 < moved < 1.51e-4  # two steps of Adam, the second half as long
     assert (first.networks.load.layers[0][0].numpy() == before).all()
     for other, tool in ((dataclasses.replace(config, members=1), 'blade'), (config, 'wheel')):
         with pytest.raises(ValueError, match='initial weights are of 2 members for a blade'):
