@@ -36,9 +36,9 @@ SHIPPED = {
     'excavation/soil_field': Recipe(
         ('excavation', 'excavation_wide', 'excavation_more', 'excavation_long'),
         'soil_field',
-        {'seed': 0},
+        {'seed': 2},
     ),
-    'wheel/soil_field': Recipe(('wheel', 'wheel_more'), 'soil_field', {'seed': 0}),
+    'wheel/soil_field': Recipe(('wheel', 'wheel_more'), 'soil_field', {'seed': 4}),
     'excavation/mlp_driven': Recipe(('excavation',), 'mlp_driven', {'num_steps': 4000}),
     'excavation/pcg': Recipe(('excavation',), 'pcg', {'modes': 8}),
     'wheel/pcg': Recipe(('wheel',), 'pcg', {'modes': 8}),

@@ -11,6 +11,7 @@ import tensorflow as tf
 
 from learning_to_simulate import checkpoints, error_bound
 from learning_to_simulate.rollout_status import Ranges
+from learning_to_simulate.scene import is_int, require
 from learning_to_simulate.soil_field import network, sweep
 from learning_to_simulate.soil_field.passage import AHEAD, Passage
 from learning_to_simulate.soil_field.settings import SoilFieldConfig
@@ -19,6 +20,7 @@ from pca_tools import files
 
 # Share of its training range by which a number may leave it.
 MARGIN = 0.05
+WIDEST = 1024  # units of a layer of a file, which are drawn before its weights replace them
 # What no network sees; beyond these limits a frame in the soil is flagged: name -> (least, most).
 # Yaw and roll, rad; all others in m of the field: distance of the tool from the plane of its
 # passage; how far its ends stand out of the map; what is missing of the tool's `least_soil` between
@@ -295,7 +297,9 @@ def load(path: str) -> SoilField:
         values = stored['field']
         tool = TOOLS[values['tool']]
         ranges = {str(k): [float(x) for x in v] for k, v in values['ranges'].items()}
-        hidden = {k: tuple(int(n) for n in values['hidden'][k]) for k in network.NETWORKS}
+        hidden = {k: tuple(values['hidden'][k]) for k in network.NETWORKS}
+        are_sizes = all(is_int(n, 1, WIDEST) for layers in hidden.values() for n in layers)
+        require(are_sizes, 'hidden', hidden)
         bounds = _bounds(values.get('bounds', {}))
 
     def make():

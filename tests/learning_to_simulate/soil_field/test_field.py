@@ -40,6 +40,8 @@ def test_a_loaded_field_says_the_same(folder):
         lambda c: c['field'].update(tool='spoon'),
         lambda c: c['field']['ranges'].pop('depth'),
         lambda c: c['field']['hidden'].update(soil=[24, 25]),
+        lambda c: c['field']['hidden'].update(soil=[10**12]),
+        lambda c: c['field']['hidden'].update(soil=[24.5]),
         lambda c: c['field'].update(bounds={'force': [1, 2], 'near_mm': 1}),
         lambda c: c['field'].update(bounds={'force': [1, 2, 3]}),
         lambda c: c['field'].update(bounds={'force': [1, 2, -3], 'near_mm': 1}),
