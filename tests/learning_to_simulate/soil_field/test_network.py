@@ -16,7 +16,7 @@ def test_weights_of_a_model_take_at_most_400_kib(tool):
     members = settings.PRESETS['soil_field'].members
     nets = network.SoilNetworks(tool, members, 0)
     numbers = sum(np.prod(v.shape) for v in nets.trainable_variables)
-    assert members == 3 and 4 * numbers <= 400 * 1024
+    assert members == 3 and 4 * numbers <= 400_000
 
 
 @pytest.mark.parametrize('first', [None, 1, 2])
