@@ -52,8 +52,9 @@ RUNS = {
     },
 }
 # Further runs, all of `train`, whose seeds follow those of `RUNS`: short ones, each with a tool and
-# a soil of its own, because what differs between runs is what a model must learn.
-MORE = {'excavation': {'brief': 180, 'gravity': 60, 'scoop': 30}, 'wheel': {}}
+# a soil of its own, because what differs between runs is what a model must learn; and blades that
+# are set down, of which a fifth are heavy and fall (none of the first training runs).
+MORE = {'excavation': {'brief': 180, 'gravity': 60, 'scoop': 30, 'free': 120}, 'wheel': {}}
 TEST, VALID = 10, 5  # runs of each kind
 
 
