@@ -1,6 +1,6 @@
 """Models and datasets that come with the project, by their names.
 
-An installed copy holds the models (8 MB) inside of the package. The datasets (87 MB) are not
+An installed copy holds the models (8 MB) inside of the package. The datasets (94 MB) are not
 installed: they lie beside the models in the source tree only.
 """
 
