@@ -363,10 +363,10 @@ class MujocoSoil:
                     fresh[j] = True
                 own = far * _resisting(self._slopes[j], axes[j])
                 damps, most = damped(s, loads)[j], loads[j, 1]
-                if abs(damps) < most:
+                if damps <= -most:  # as much as it bears
+                    own[1] = 0.0
+                elif damps < 0.0:
                     own[1, 1] -= self._damping[j].coefficient / dt
-                else:  # as much as it bears
-                    own[1] *= 1.0 + np.sign(damps)
                 slope[6 * j : 6 * j + 6, 3 * j : 3 * j + 3] = own
             way = -np.linalg.solve(np.eye(3 * n) - give @ slope, gap)
             share = 1.0

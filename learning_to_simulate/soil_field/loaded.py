@@ -5,9 +5,9 @@ follows from backward Euler, (18) of docs/soil_field.md, solved for one free coo
 other until all hold. Each residual grows with its own coordinate, so a bracket holds the root: a
 tool rests, stalls and comes back at any step, however light it is.
 
-The force of a field knows hardly any time, so a tool that rests on it would swing; soil damps it,
-(21). What sinks, climbs or descends evenly feels nothing of that, nor does a tool that something
-else holds. At the floor of the terrain a tool rests.
+The force of a field knows hardly any time, so a tool that rests on it would swing; soil damps its
+way up, (21). What sinks or climbs evenly feels nothing of that, nor does a tool that something else
+holds. At the floor of the terrain a tool rests.
 """
 
 import functools
@@ -49,8 +49,8 @@ class Damping:
 
     def force(self, bears, rate) -> float:
         """D, N, where the networks give a force up and the tool rises at a rate, m/s."""
-        most = max(float(bears), 0.0)
-        return min(max(-self.coefficient * (float(rate) - self._slow), -most), most)
+        swing = max(float(rate) - max(self._slow, 0.0), 0.0)
+        return -min(self.coefficient * swing, max(float(bears), 0.0))
 
     def go_on(self, bears, rate, dt) -> None:
         """After a step of dt s that ended so."""

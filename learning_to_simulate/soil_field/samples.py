@@ -16,9 +16,10 @@ from learning_to_simulate.soil_field.passage import Passage
 from learning_to_simulate.soil_field.place import BESIDE
 from learning_to_simulate.soil_field.runs import Run
 
-# A run that moves less than this (root mean square, m of the field) is weighted as if it moved so
-# far; one that feels less force, N of the field, likewise.
-LEAST_MOTION, LEAST_FORCE = 0.003, 5.0
+# A run of a tool that moves less than this (root mean square, m of the field) is weighted as if it
+# moved so far, else dents would count like heaps; one that feels less force, N of the field,
+# likewise.
+LEAST_MOTION, LEAST_FORCE = {'blade': 0.01, 'wheel': 0.003}, 5.0
 MOVED = 0.001  # m of the field, of what moves
 DRAWN = 48  # places or particles of a frame
 START_EVERY = 64  # frames between the starts of episodes
@@ -183,12 +184,12 @@ def motion_of(episode: Episode) -> float:
 
 def surface_part(networks, episode: Episode, motion: float, rng) -> Part:
     """Samples of the surface; `motion` is that of the whole run."""
-    rows = []
+    rows, motion = [], max(motion, LEAST_MOTION[networks.tool.name])
     for t, places, rise in episode.risen[1:]:
         chosen, stands = _drawn(rng, np.abs(rise) > MOVED)
         frame = episode.frames.at(slice(t, t + 1))
         seen = _seen(networks, 'surface', frame, episode.passage.strips, places[chosen])
-        weight = stands / len(rise) / max(motion, LEAST_MOTION) ** 2
+        weight = stands / len(rise) / motion**2
         rows.append((*seen, rise[chosen], weight))
     return _part(rows)
 
@@ -217,7 +218,8 @@ def soil_part(networks, run: Run, rng) -> Part:
     part = _part(rows)
     total = part.weight.sum() or 1.0  # of a tool that is clear of all particles
     motion = np.sqrt((part.weight[:, None] * part.target**2).sum() / total)
-    return part._replace(weight=part.weight / max(motion, LEAST_MOTION) ** 2)
+    least = LEAST_MOTION[run.tool.name]
+    return part._replace(weight=part.weight / max(motion, least) ** 2)
 
 
 def _seen(networks, name, frame, strips, places):

@@ -38,8 +38,8 @@ class SoilFieldConfig(Settings):
 PRESETS = {'soil_field': SoilFieldConfig('soil_field')}
 # By tool and network: rows of `samples` that a step takes; times `num_steps`; times
 # `learning_rate`. Loads are few, those of a wheel learned by heart; places are many.
-_PLACES = dict.fromkeys(('surface', 'soil'), (1024, 3, 2.0))
+_PLACES = (1024, 3, 2.0)
 SCHEDULES = {
-    'blade': {'load': (512, 2, 1.0), **_PLACES},
-    'wheel': {'load': (512, 1, 1.0), **_PLACES},
+    'blade': {'load': (512, 2, 1.0), 'surface': (1024, 5, 2.0), 'soil': _PLACES},
+    'wheel': {'load': (512, 1, 1.0), 'surface': _PLACES, 'soil': _PLACES},
 }

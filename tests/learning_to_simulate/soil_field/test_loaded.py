@@ -153,6 +153,25 @@ def test_soil_that_answers_late_does_not_throw_a_tool_back(monkeypatch):
     assert swing() > 1e-2
 
 
+def test_it_sinks_as_fast_as_its_weight_takes_it_and_hardly_swings_back(monkeypatch):
+    def fall():
+        soil = Springs(np.diag([0.0, 2e5, 0.0]))
+        tool, heights = LoadedTool(soil, MASS), []
+        for _ in range(400):
+            tool.step(REST, dt=DT / 16)
+            heights.append(soil.coordinates[1])
+        return np.array(heights)
+
+    damped = fall()
+    monkeypatch.setattr(loaded, 'UNLOADS', 1e9)
+    free = fall()
+    lowest = int(free.argmin())
+    assert 100 < lowest < 150 and free[lowest] < -1.5 * MASS * G / 2e5
+    np.testing.assert_allclose(damped[: lowest + 1], free[: lowest + 1], atol=1e-7)
+    rest = -MASS * G / 2e5
+    assert damped[lowest:].max() < 0.9 * rest < 0.2 * rest < free[lowest:].max()
+
+
 def test_what_moves_evenly_is_not_damped_and_the_force_is_that_of_the_balance():
     soil = Springs(np.diag([0.0, 2e5, 0.0]))
     tool = LoadedTool(soil, MASS)
@@ -174,8 +193,8 @@ def test_what_the_machine_holds_is_not_damped():
     critical = 2.0 * np.sqrt(20.0 * 196.2 / 0.002)
     assert damping.coefficient == pytest.approx(critical)
     assert damping.force(150.0, 0.01) == pytest.approx(-0.01 * critical)
-    assert damping.force(150.0, 1.0) == -150.0 == -damping.force(150.0, -1.0)
-    assert damping.force(-3.0, 1.0) == 0.0
+    assert damping.force(150.0, 1.0) == -150.0
+    assert damping.force(150.0, -1.0) == damping.force(-3.0, 1.0) == 0.0  # sinks; is pulled
     for share, held in (
         (0.5, {'stiffness': 196.2 / 0.002 / 8}), (0.5, {'damping': critical / 8}),
         (0.5, {'held': 196.2 / 8}), (0.0, {'stiffness': 1e5, 'damping': 1e3}), (0.0, {'held': 60}),

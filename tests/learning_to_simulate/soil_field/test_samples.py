@@ -52,6 +52,28 @@ def test_targets_are_what_the_run_shows():
     assert moved.any() and not moved.all() and (soil.weight > 0).all()
 
 
+def test_a_dent_does_not_count_like_a_heap():
+    run = worlds.run(2)
+    field = training.make_field(worlds.CONFIG, 'blade', worlds.SMALL)
+    whole = samples.episode_of(run)
+
+    def weights(motion):
+        rng = np.random.default_rng(0)
+        return samples.surface_part(field.networks, whole, motion, rng).weight
+
+    np.testing.assert_array_equal(weights(0.001), weights(0.01))
+    np.testing.assert_allclose(weights(0.02), weights(0.01) / 4, rtol=1e-6)
+
+    def total(size):  # of squared errors of particles that stay where they were
+        moved = run.particles[:1] + size * (run.particles - run.particles[:1])
+        rng = np.random.default_rng(0)
+        part = samples.soil_part(field.networks, run._replace(particles=moved), rng)
+        return (part.weight * (part.target**2).sum(axis=1)).sum()
+
+    assert total(0.5) == pytest.approx(total(1.0) / 4)  # 3 and 6 mm
+    assert total(8.0) == pytest.approx(total(4.0))
+
+
 def test_particles_are_taken_until_the_passage_is_renewed(monkeypatch):
     run = worlds.run(2)
     field = training.make_field(worlds.CONFIG, 'blade', worlds.SMALL)

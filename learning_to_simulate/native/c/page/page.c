@@ -94,10 +94,10 @@ int EXPORT(page_step)(double dt) {
 #define ABOVE_FLOOR 1e-6
 #define FLOOR 1e9
 
-/* What soil damps of a motion at a speed up, N: no more than it bears. */
+/* What soil damps of a motion at a speed up, N: no more than it bears, and nothing of what sinks. */
 static double damped(double force, double speed, double mass, double weight) {
-  const double bears = fmax(force, 0.0), all = -2.0 * sqrt(mass * weight / UNLOADS) * (speed - slow);
-  return fmin(fmax(all, -bears), bears);
+  const double swing = fmax(speed - fmax(slow, 0.0), 0.0);
+  return -fmin(2.0 * sqrt(mass * weight / UNLOADS) * swing, fmax(force, 0.0));
 }
 
 static double lowest(void) { return ground.floor + tool.radius + ABOVE_FLOOR; }
