@@ -86,7 +86,7 @@ class MujocoSoil:
       tools: name of a site or body -> `SoilStepper` of the tool there. Its frame is that of the
         tool: the origin in the reference point (edge of a blade, axle of a wheel), Z up and -X the
         way where the tool looks when it is upright.
-      implicit: False applies the loads of the step before, and damps nothing; for comparison.
+      implicit: False applies the loads of the step before; for comparison.
 
     Attributes:
       frames: name -> newest `SoilFrame`, in axes of this project, with the damping of a tool that
@@ -135,7 +135,9 @@ class MujocoSoil:
 
     def _forget(self):
         """Begins a run."""
-        self._loads = np.zeros_like(self.wrenches)  # about the places of the tools, axes of lts
+        # About the places of the tools, axes of lts: of the newest frames, and of the last step.
+        self._loads = np.zeros_like(self.wrenches)
+        self._borne = self._loads
         self._slopes: list[Any] = [None] * len(self._names)
         self._damping, self._waited = [Damping() for _ in self._names], np.inf
         # The worst status of each tool until it last began a new passage in the air.
@@ -219,6 +221,8 @@ class MujocoSoil:
             loads, damped = self._loads, np.zeros(len(self._names))
             if self._implicit:
                 loads, damped = self._solved(state, levers, dt)
+            else:
+                self._answers(self._borne, dt)
             self._apply(_about_centres(loads, levers))
             mujoco.mj_step(m, d)
             mujoco.mj_kinematics(m, d)
@@ -238,10 +242,13 @@ class MujocoSoil:
             frame = stepper.start(pose) if flies else stepper.step(pose, dt)
             if self._worst[name] is not OK:
                 frame = frame._replace(judgement=worse(self._worst[name], frame.judgement))
+            if not self._implicit:
+                damped[j] = self._damping[j].force(frame.force[1], rate)
             self._damping[j].go_on(frame.force[1], rate, dt)
             if damped[j]:
                 frame = frame._replace(force=frame.force + damped[j] * UP)
             self.frames[name] = frame
+        self._borne = loads
         self._loads = loads if self._implicit else np.stack([*map(_load, self.frames.values())])
         return self.frames
 
@@ -296,23 +303,8 @@ class MujocoSoil:
         self._apply(_about_centres(self._loads, levers))
         mujoco.mj_step(m, d)
         # Jacobians and inertia in `data` are still those of the begin of the step.
-        jacobians = np.empty((n, 2, 3, m.nv))
-        for jacobian, (is_site, number, _) in zip(jacobians, self._spots, strict=True):
-            call = mujoco.mj_jacSite if is_site else mujoco.mj_jacBody
-            call(m, d, *jacobian, number)
-        whole = (TO_Z_UP.T @ jacobians).reshape(n, 6, m.nv)
-        places = [stepper.place for stepper in self._steppers]
-        axes = np.array([[place.along, UP, place.across] for place in places])
-        inner = np.concatenate(
-            [axes[:, :1] @ whole[:, :3], whole[:, 1:2], axes[:, 2:] @ whole[:, 3:]], axis=1
-        )
-        answer = np.zeros((6 * n, m.nv))
-        mujoco.mj_solveM(m, d, answer, whole.reshape(6 * n, m.nv))
+        axes, inner, answer = self._answers(self._loads, dt)
         give = dt * dt * inner.reshape(3 * n, m.nv) @ answer.T
-        if self._waited >= PRESSED:
-            self._press(whole[:, 1], answer[1::6])
-            self._waited = 0.0
-        self._waited += dt
         mujoco.mj_kinematics(m, d)
         far = max(1.0, DT / dt)
         last = np.array([stepper.frame.pose for stepper in self._steppers])
@@ -391,9 +383,33 @@ class MujocoSoil:
         loads[:, 1] += damps
         return loads, damps
 
-    def _press(self, up, answer):
+    def _answers(self, loads, dt):
+        """Axes [n, 3, 3] of the tools, Jacobians [n, 3, nv] of along, up and lean, and what unit
+        loads change of the velocities of the joints per second [6 n, nv]. From time to time calls
+        `_press`, with its `loads`."""
+        m, d, n = self._model, self._data, len(self._names)
+        jacobians = np.empty((n, 2, 3, m.nv))
+        for jacobian, (is_site, number, _) in zip(jacobians, self._spots, strict=True):
+            call = mujoco.mj_jacSite if is_site else mujoco.mj_jacBody
+            call(m, d, *jacobian, number)
+        whole = (TO_Z_UP.T @ jacobians).reshape(n, 6, m.nv)
+        places = [stepper.place for stepper in self._steppers]
+        axes = np.array([[place.along, UP, place.across] for place in places])
+        inner = np.concatenate(
+            [axes[:, :1] @ whole[:, :3], whole[:, 1:2], axes[:, 2:] @ whole[:, 3:]], axis=1
+        )
+        answer = np.zeros((6 * n, m.nv))
+        mujoco.mj_solveM(m, d, answer, whole.reshape(6 * n, m.nv))
+        if self._waited >= PRESSED:
+            self._press(whole[:, 1], answer[1::6], loads, dt)
+            self._waited = 0.0
+        self._waited += dt
+        return axes, inner, answer
+
+    def _press(self, up, answer, loads, dt):
         """Tells the damping of the tools what presses on them, from the Jacobian [n, nv] of their
-        heights and the answer [n, nv] of the machine to a unit force up on each."""
+        heights, the answer [n, nv] of the machine to a unit force up on each, and loads [n, 6] that
+        the last step applied."""
         m, d = self._model, self._data
         moment = np.zeros((m.nu, m.nv))
         mujoco.mju_sparse2dense(
@@ -401,7 +417,7 @@ class MujocoSoil:
         )
         gives = np.maximum((up * answer).sum(axis=1), 1e-9)  # a tool that cannot rise is heavy
         mass, way = 1.0 / gives, answer / gives[:, None]  # kg; of the joints, per m up
-        weights = self._loads[:, 1] - mass * (answer @ d.qfrc_smooth)
+        weights = loads[:, 1] - mass * (answer @ d.qfrc_smooth)
         lengths = (way @ moment.T) ** 2
         stiffness = way[:, m.jnt_dofadr] ** 2 @ m.jnt_stiffness - lengths @ m.actuator_biasprm[:, 1]
         damping = way**2 @ m.dof_damping - lengths @ m.actuator_biasprm[:, 2]
@@ -409,6 +425,8 @@ class MujocoSoil:
         rows = np.stack([mass, weights, np.maximum(stiffness, 0.0), np.maximum(damping, 0.0), held])
         for one, row in zip(self._damping, rows.T.tolist(), strict=True):
             one.press(*row)
+            if not self._implicit:  # takes no more than half of the speed within a step
+                one.coefficient = min(one.coefficient, row[0] / dt / 2)
 
     def _learn(self, change, way):
         """Broyden's update of slopes: loads changed by [n, 6] along a way [3 n]."""

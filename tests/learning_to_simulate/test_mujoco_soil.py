@@ -80,9 +80,13 @@ def test_no_load_before_it_touches_and_the_users_own_stays(blade):
     assert d.qpos[0] == pytest.approx(-fallen, rel=1e-6)
 
 
-@pytest.mark.parametrize('dt, mass', [(0.001, 50.0), (0.004, 5.0), (0.016, 50.0)])
-def test_a_tool_rests_on_its_weight_and_gains_no_energy(blade, dt, mass):
-    m, d, soil = scene(blade, mass=mass, dt=dt)
+@pytest.mark.parametrize(
+    'dt, mass, implicit',
+    [(0.001, 50.0, True), (0.004, 5.0, True), (0.016, 50.0, True), (0.001, 50.0, False),
+     (0.008, 5.0, False)],
+)  # fmt: skip
+def test_a_tool_rests_on_its_weight_and_gains_no_energy(blade, dt, mass, implicit):
+    m, d, soil = scene(blade, mass=mass, dt=dt, implicit=implicit)
     soil.start()
     for _ in range(round(2.0 / dt)):
         soil.step()
