@@ -15,7 +15,9 @@ derivatives of w from proposed frames, kept from step to step by Broyden's updat
 would push a tool on in the direction in which it goes.
 
 w holds the damping D of a tool that rests (`soil_field/loaded.py`). Its mass is M = 1 / C along up;
-it is pressed down by the load of w_0 less M a, with a its acceleration up under w_0.
+it is pressed down by the load of w_0 less M a, with a its acceleration up under w_0. Explicit
+coupling applies load and damping of the newest frames; the damping's coefficient is then at most
+M / 2 h.
 """
 
 import contextlib
@@ -135,9 +137,7 @@ class MujocoSoil:
 
     def _forget(self):
         """Begins a run."""
-        # About the places of the tools, axes of lts: of the newest frames, and of the last step.
-        self._loads = np.zeros_like(self.wrenches)
-        self._borne = self._loads
+        self._loads = np.zeros_like(self.wrenches)  # about the places of the tools, axes of lts
         self._slopes: list[Any] = [None] * len(self._names)
         self._damping, self._waited = [Damping() for _ in self._names], np.inf
         # The worst status of each tool until it last began a new passage in the air.
@@ -221,8 +221,8 @@ class MujocoSoil:
             loads, damped = self._loads, np.zeros(len(self._names))
             if self._implicit:
                 loads, damped = self._solved(state, levers, dt)
-            else:
-                self._answers(self._borne, dt)
+            elif self._waited >= PRESSED:
+                self._answers(dt)
             self._apply(_about_centres(loads, levers))
             mujoco.mj_step(m, d)
             mujoco.mj_kinematics(m, d)
@@ -248,7 +248,7 @@ class MujocoSoil:
             if damped[j]:
                 frame = frame._replace(force=frame.force + damped[j] * UP)
             self.frames[name] = frame
-        self._borne = loads
+        self._waited += dt
         self._loads = loads if self._implicit else np.stack([*map(_load, self.frames.values())])
         return self.frames
 
@@ -303,7 +303,7 @@ class MujocoSoil:
         self._apply(_about_centres(self._loads, levers))
         mujoco.mj_step(m, d)
         # Jacobians and inertia in `data` are still those of the begin of the step.
-        axes, inner, answer = self._answers(self._loads, dt)
+        axes, inner, answer = self._answers(dt)
         give = dt * dt * inner.reshape(3 * n, m.nv) @ answer.T
         mujoco.mj_kinematics(m, d)
         far = max(1.0, DT / dt)
@@ -383,10 +383,10 @@ class MujocoSoil:
         loads[:, 1] += damps
         return loads, damps
 
-    def _answers(self, loads, dt):
+    def _answers(self, dt):
         """Axes [n, 3, 3] of the tools, Jacobians [n, 3, nv] of along, up and lean, and what unit
-        loads change of the velocities of the joints per second [6 n, nv]. From time to time calls
-        `_press`, with its `loads`."""
+        loads change of the velocities of the joints per second [6 n, nv]. It calls `_press` from
+        time to time."""
         m, d, n = self._model, self._data, len(self._names)
         jacobians = np.empty((n, 2, 3, m.nv))
         for jacobian, (is_site, number, _) in zip(jacobians, self._spots, strict=True):
@@ -401,15 +401,14 @@ class MujocoSoil:
         answer = np.zeros((6 * n, m.nv))
         mujoco.mj_solveM(m, d, answer, whole.reshape(6 * n, m.nv))
         if self._waited >= PRESSED:
-            self._press(whole[:, 1], answer[1::6], loads, dt)
+            self._press(whole[:, 1], answer[1::6], dt)
             self._waited = 0.0
-        self._waited += dt
         return axes, inner, answer
 
-    def _press(self, up, answer, loads, dt):
+    def _press(self, up, answer, dt):
         """Tells the damping of the tools what presses on them, from the Jacobian [n, nv] of their
-        heights, the answer [n, nv] of the machine to a unit force up on each, and loads [n, 6] that
-        the last step applied."""
+        heights and the answer [n, nv] of the machine to a unit force up on each; `data` has the
+        accelerations under `wrenches`."""
         m, d = self._model, self._data
         moment = np.zeros((m.nu, m.nv))
         mujoco.mju_sparse2dense(
@@ -417,7 +416,7 @@ class MujocoSoil:
         )
         gives = np.maximum((up * answer).sum(axis=1), 1e-9)  # a tool that cannot rise is heavy
         mass, way = 1.0 / gives, answer / gives[:, None]  # kg; of the joints, per m up
-        weights = loads[:, 1] - mass * (answer @ d.qfrc_smooth)
+        weights = self.wrenches[:, 2] - mass * (answer @ d.qfrc_smooth)
         lengths = (way @ moment.T) ** 2
         stiffness = way[:, m.jnt_dofadr] ** 2 @ m.jnt_stiffness - lengths @ m.actuator_biasprm[:, 1]
         damping = way**2 @ m.dof_damping - lengths @ m.actuator_biasprm[:, 2]

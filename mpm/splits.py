@@ -53,7 +53,7 @@ RUNS = {
 }
 # Further runs, all of `train`, whose seeds follow those of `RUNS`: short ones, each with a tool and
 # a soil of its own, because what differs between runs is what a model must learn; and blades that
-# are set down, of which a fifth are heavy and fall (none of the first training runs).
+# are set down: of the first 15 for training two are heavy and fall.
 MORE = {'excavation': {'brief': 180, 'gravity': 60, 'scoop': 30, 'free': 120}, 'wheel': {}}
 TEST, VALID = 10, 5  # runs of each kind
 

@@ -1,8 +1,9 @@
 """What the three networks of a soil field learn from: inputs, gates and targets of runs.
 
 All inputs follow from terrain and path, so they are computed once. Each run counts alike, whatever
-it moves or weighs. Of places and particles a part is drawn in each frame, more of those that move;
-each drawn one is weighted by how many it was drawn from.
+it moves or weighs, from `LEAST_MOTION` and `LEAST_FORCE` on. Of places and particles a part is
+drawn in each frame, more of those that move; each drawn one is weighted by how many it was drawn
+from.
 """
 
 from typing import NamedTuple
