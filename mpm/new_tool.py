@@ -32,7 +32,10 @@ from pca_tools import command, files
 from pca_tools.storage.folder_lock import locked
 
 FIRST_SEED = 9000  # nobody has seen these (`splits.RUNS`)
-KINDS = {'excavation': 'smooth,stops,reverse,lift', 'wheel': 'slip,stops,reverse,load'}
+KINDS = {
+    'plate': 'smooth,stops,reverse,lift', 'bucket': 'scoop,smooth,scoop,lift,scoop,reverse',
+    'wheel': 'slip,stops,reverse,load',
+}  # fmt: skip
 WIDE = 0.5  # m; wider tools need the wide bin
 STATE = 'new_tool.json'
 ERRORS = ('soil_mm', 'force_relative_l2')
@@ -94,9 +97,10 @@ def planned(tool: dict, count: int) -> tuple[scenes.Scene, str, list[str]]:
     from mpm import run  # help does not wait for Numba
     from mpm.simulation import Settings
 
-    scene = scenes.SCENES['wheel' if 'radius' in tool else 'excavation']
-    is_wide = scene.name == 'excavation' and tool['width'] > WIDE
-    kinds = 'tools' if is_wide else KINDS[scene.name]
+    name = 'wheel' if 'radius' in tool else 'bucket' if len(tool['outline']) > 2 else 'plate'
+    scene = scenes.SCENES['wheel' if name == 'wheel' else 'excavation']
+    is_wide = name != 'wheel' and tool['width'] > WIDE
+    kinds = 'tools' if is_wide else KINDS[name]
     cases = catalogue.select_seeds(scene, f'{FIRST_SEED}-{FIRST_SEED + count - 1}', kinds)
     for case in cases:
         run.prepared(catalogue.in_bin(scene, case), case, Settings(), tool)

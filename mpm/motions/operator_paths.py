@@ -48,6 +48,7 @@ MAX_RISE = 0.15  # m/s up or down
 MAX_TURN = 60.0  # deg/s
 LEANS, STEEP_LEANS = (0.0, 45.0), (25.0, bodies.MAX_LEAN_DEG)  # deg, of a blade
 BUCKET_LEANS = (-35.0, 5.0)  # deg, of a tool with an outline: its edge goes in first
+RELIEF = 10.0  # deg, by which the floor of a given bucket rises behind its edge
 CURLS = (0.0, 60.0)  # deg, of a bucket that lifts what it holds
 SCOOP_RADII = (0.07, 0.11)  # m, of its back
 PIN = (1.5, 2.5)  # place of the pin over its edge, behind and up, in radii of its back
@@ -127,7 +128,9 @@ def operator_drive(
     the usual one, the `frames` where they are not as usual. ValueError: no path fits the bin.
     """
     rng = np.random.default_rng([seed, KINDS.index(kind), 1])
-    parameters = {}
+    parameters, most = {}, BUCKET_LEANS[1]
+    if tool is not None and len(tool['outline']) > 2:
+        most = min(most, floor_rise(tool) - RELIEF)
     if kind in ('soils', *BRIEF) or (kind == 'scoop' and rng.random() < 0.5):
         parameters['ground'] = _draw_ground(rng, kind)
     if kind in ('tools', *BRIEF) and tool is None:
@@ -135,7 +138,7 @@ def operator_drive(
     if kind == 'scoop' and tool is None:
         tool = bucket(rng.uniform(*SCOOP_RADII), rng.uniform(*BRIEF_WIDTHS), rng.random() < 0.7)
     drive, drawn = checks.first_that_fits(
-        lambda: _draw(rng, scene, kind, tool), scene.bin, f'{kind!r}, seed {seed}',
+        lambda: _draw(rng, scene, kind, tool, most), scene.bin, f'{kind!r}, seed {seed}',
         lambda *drawn: _is_fine(scene.bin, *drawn),
     )  # fmt: skip
     if kind != 'trench' and kind not in FRAMES:  # as long as any run
@@ -155,8 +158,9 @@ def _draw_ground(rng, kind) -> dict:
     return ground
 
 
-def _draw(rng, scene, kind, tool) -> tuple[Drive, dict]:
-    """One path that keeps all limits but perhaps not the room of the bin."""
+def _draw(rng, scene, kind, tool, most_lean) -> tuple[Drive, dict]:
+    """One path that keeps all limits but perhaps not the room of the bin; a tool with an outline
+    leans back by at most so much (deg), but where it curls."""
     box = scene.bin
     if tool is not None:
         width = tool['width']
@@ -167,7 +171,7 @@ def _draw(rng, scene, kind, tool) -> tuple[Drive, dict]:
     body, kept = bodies.blade_or(tool, width)
     leans = STEEP_LEANS if rng.random() < _STEEP_SHARE else LEANS
     if tool is not None and len(tool['outline']) > 2:
-        leans = BUCKET_LEANS
+        leans = BUCKET_LEANS[0], most_lean
     clearance = rng.uniform(grid.TIP_CLEARANCE, 0.03)
     start_x = grid.blade_start(scene)[0]
     if kind in DOWN:
@@ -482,6 +486,13 @@ def _draw_tool(rng, widths) -> dict:
     outline = [[0.0, 0.0], [0.0, height - 2 * radius]]
     tool = {'name': 'blade', 'outline': outline, 'edge_radius': radius, 'width': width}
     return bodies.check_tool(tool)
+
+
+def floor_rise(tool: dict) -> float:
+    """Least angle (deg) by which a tool with an outline, upright, rises behind its edge: a floor
+    that falls bears on soil that the edge has not cut."""
+    behind = np.array([point for point in tool['outline'] if point[0] > tool['edge_radius']])
+    return float(np.degrees(np.arctan2(behind[:, 1], behind[:, 0])).min()) if len(behind) else 90.0
 
 
 def bucket(radius: float, width: float, has_plates: bool) -> dict:

@@ -69,8 +69,10 @@ def test_a_folder_belongs_to_one_tool(tmp_path):
 
 def test_the_bin_fits_the_tool():
     tool = bodies.check_tool(SCOOP)
-    cases = ['smooth_9000', 'stops_9001']
-    assert new_tool.planned(tool, 2)[1:] == ('smooth,stops,reverse,lift', cases)
+    cases = ['scoop_9000', 'smooth_9001']
+    assert new_tool.planned(tool, 2)[1:] == ('scoop,smooth,scoop,lift,scoop,reverse', cases)
+    plate = bodies.check_tool(SCOOP | {'outline': [[0, 0], [0, 0.2]]})
+    assert new_tool.planned(plate, 1)[1:] == ('smooth,stops,reverse,lift', ['smooth_9000'])
     wide = bodies.check_tool(SCOOP | {'width': 0.55})
     assert new_tool.planned(wide, 1)[1:] == ('tools', ['tools_9000'])
     wheel = bodies.check_tool({'name': 'wheel', 'radius': 0.1, 'width': 0.1})

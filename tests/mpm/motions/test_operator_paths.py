@@ -68,3 +68,21 @@ def test_a_bucket_is_hollow_and_open_to_the_front(radius, has_plates):
     in_plate = distance(middle, half - 0.5 * PLATE)
     assert in_plate == pytest.approx(-0.5 * PLATE) if has_plates else in_plate > 0.05
     assert distance([0.0, 0.0]) < 0.0 < distance([-0.006, 0.0])  # the edge is the reference point
+
+
+@pytest.mark.parametrize('kind', ['smooth', 'reverse', 'lift'])
+def test_the_floor_of_a_given_bucket_rises_behind_its_edge(kind):
+    rise = math.radians(2.0)
+    outline = [[0.0, 0.0], [0.2 * math.cos(rise), 0.2 * math.sin(rise)], [0.2, 0.2], [0.18, 0.2],
+               [0.18, 0.03]]  # fmt: skip
+    tool = bodies.check_tool(
+        {'name': 'bucket', 'edge_radius': 0.004, 'width': 0.3, 'outline': outline}
+    )
+    scene = scenes.SCENES['excavation']
+    for seed in range(9000, 9004):
+        motion = catalogue.motion_of(scene, f'{kind}_{seed}', tool)
+        angle = motion.drive.pose(np.arange(321) / 60.0)[:, 2]
+        floor = np.array(outline[1])
+        height = floor[0] * np.sin(angle) + floor[1] * np.cos(angle)
+        assert height.min() >= 0.2 * math.sin(math.radians(10.0)) - 1e-9
+        assert height.max() > height.min() + 0.02  # it leans on its way
