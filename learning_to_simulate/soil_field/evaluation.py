@@ -79,7 +79,8 @@ class SoilEvaluator:
             rows['stay_still'].append(who | still(run))
             if self._under_load and run.machine is not None:
                 free = self.roll_out(run, under_load=True)
-                rows['under_load'].append(who | of_rollout(free, run) | pose_errors(free, run))
+                moved = motion_errors(free.pose, run)
+                rows['under_load'].append(who | of_rollout(free, run) | moved)
             if (found := formula(run)) is not None:
                 rows[known].append(who | found)
         return results, summarise({name: of for name, of in rows.items() if of})
@@ -200,10 +201,10 @@ def bounds_of(results, rows: list[dict]) -> dict:
     }
 
 
-def pose_errors(rollout: TerrainRollout, run: Run) -> dict[str, float]:
-    """Errors of a predicted motion along the way and in height, mm."""
+def motion_errors(pose, run: Run) -> dict[str, float]:
+    """Errors of a motion [T, 7] along the way and in height, mm."""
     along = place_of(run.pose[0]).along
-    off = (rollout.pose - run.pose)[H:, :3]
+    off = (pose - run.pose)[H:, :3]
     return {'travel_mm': _rms_mm(off @ along), 'height_mm': _rms_mm(off[:, 1])}
 
 

@@ -159,7 +159,9 @@ def fit(field: SoilField, pools: dict[str, list], progress=True, saved=None, hel
         if not parts:
             continue
         part, scale = getattr(networks, name), components if name == 'load' else 1 / network.LENGTH
-        how = functools.partial(predicted, name), scale
+        # ROBUST in the unit of errors: weights of a load are 1 over the mean square of a run.
+        limit = (ROBUST[networks.tool.name] / network.FORCE) ** 2 if name == 'load' else 0.0
+        how = functools.partial(predicted, name), scale, limit
         first = [value.numpy() for value in part.trainable_variables]
         others = held[name] if held else []
         before = loss_of(*how, others)
@@ -190,21 +192,33 @@ def _noise(networks):
     return noise
 
 
-def loss_of(call, scale, pools) -> float:
-    """The loss (16), (17) of the mean of the members on all rows of some pools; 0 of none."""
+def loss_of(call, scale, limit: float, pools) -> float:
+    """The loss (16), (17) of the mean of the members on all rows of some pools, see `_losses`; 0 of
+    none."""
     total, weights = 0.0, 0.0
     for pool in pools:
         for start in range(0, len(pool.weight), ROWS):
             rows = slice(start, start + ROWS)
             found = call(tuple(x[rows] for x in pool.inputs), pool.target[rows])
-            square = ((tf.reduce_mean(found, axis=0) - pool.target[rows]) * scale).numpy() ** 2
-            square = square.sum(axis=-1) if square.ndim > 1 else square
-            total += float((square * pool.weight[rows]).sum())
+            known = pool.target[rows], pool.weight[rows]
+            losses = _losses(tf.reduce_mean(found, axis=0), *known, scale, limit)
+            total += float(tf.reduce_sum(losses))
         weights += float(pool.weight.sum(dtype=np.float64))
     return total / weights if weights else 0.0
 
 
-def _fit(networks, call, scale, name, pools, config, noise, progress, saved=None):
+def _losses(found, target, weight, scale, limit: float):
+    """(16), (17) [..., R]: weighted squares of the errors of what was found [..., R(, O)]; beyond
+    `limit`, h^2 (0: none), as H has it."""
+    error = (found - target) * scale
+    square = weight * (error**2 if len(target.shape) == 1 else tf.reduce_sum(error**2, axis=-1))
+    if not limit:
+        return square
+    far = 2.0 * tf.sqrt(limit * tf.maximum(square, limit)) - limit
+    return tf.where(square < limit, square, far)
+
+
+def _fit(networks, call, scale, limit, name, pools, config, noise, progress, saved=None):
     tool, variables = networks.tool.name, getattr(networks, name).trainable_variables
     batch, longer, faster = SCHEDULES[tool][name]
     num_steps = longer * config.num_steps
@@ -213,8 +227,7 @@ def _fit(networks, call, scale, name, pools, config, noise, progress, saved=None
     optimizer.build(variables)
     counts = np.array([len(pool.weight) for pool in pools])
     mean = sum(pool.weight.sum(dtype=np.float64) for pool in pools) / counts.sum()
-    # ROBUST in the unit of errors: weights of a load are 1 over the mean square of a run.
-    limit = float((ROBUST[tool] / network.FORCE) ** 2 / mean) if name == 'load' else 0.0
+    limit = float(limit / mean)  # of weights that are divided by the mean
     # Pools are drawn from by their shares.
     sizes = np.maximum(np.rint(batch * counts / counts.sum()), 1).astype(int)
 
@@ -223,16 +236,8 @@ def _fit(networks, call, scale, name, pools, config, noise, progress, saved=None
         with tf.GradientTape() as tape:
             total = 0.0
             for inputs, target, weight in drawn:
-                error = (call(inputs, target) - target) * scale
-                square = error**2
-                if len(target.shape) > 1:
-                    square = tf.reduce_sum(square, axis=-1)
-                square *= weight
-                if limit:
-                    far = 2.0 * tf.sqrt(limit * tf.maximum(square, limit)) - limit
-                    square = tf.where(square < limit, square, far)
                 # Summed over members, which know nothing of each other.
-                total += tf.reduce_sum(square)
+                total += tf.reduce_sum(_losses(call(inputs, target), target, weight, scale, limit))
             loss = total / batch
         gradient = tape.gradient(loss, variables)
         optimizer.apply_gradients(zip(gradient, variables, strict=True))

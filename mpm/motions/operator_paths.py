@@ -48,7 +48,8 @@ MAX_RISE = 0.15  # m/s up or down
 MAX_TURN = 60.0  # deg/s
 LEANS, STEEP_LEANS = (0.0, 45.0), (25.0, bodies.MAX_LEAN_DEG)  # deg, of a blade
 BUCKET_LEANS = (-35.0, 5.0)  # deg, of a tool with an outline: its edge goes in first
-RELIEF = 10.0  # deg, by which the floor of a given bucket rises behind its edge
+# Deg: by which the floor of a given bucket rises behind its edge; least range of its leans.
+RELIEF, LEAST_LEANS = 10.0, 20.0
 CURLS = (0.0, 60.0)  # deg, of a bucket that lifts what it holds
 SCOOP_RADII = (0.07, 0.11)  # m, of its back
 PIN = (1.5, 2.5)  # place of the pin over its edge, behind and up, in radii of its back
@@ -125,12 +126,13 @@ def operator_drive(
     """Draws a path of one of `KINDS`; without a tool the blade is 0.457 or 0.30 m wide, or drawn.
 
     Returns the drive and its parameters, JSON-compatible; among them the `ground` where it is not
-    the usual one, the `frames` where they are not as usual. ValueError: no path fits the bin.
+    the usual one, the `frames` where they are not as usual. ValueError: no path fits the bin, or
+    an outline that falls behind its edge.
     """
     rng = np.random.default_rng([seed, KINDS.index(kind), 1])
-    parameters, most = {}, BUCKET_LEANS[1]
+    parameters, leans = {}, BUCKET_LEANS
     if tool is not None and len(tool['outline']) > 2:
-        most = min(most, floor_rise(tool) - RELIEF)
+        leans = _relieved(tool)
     if kind in ('soils', *BRIEF) or (kind == 'scoop' and rng.random() < 0.5):
         parameters['ground'] = _draw_ground(rng, kind)
     if kind in ('tools', *BRIEF) and tool is None:
@@ -138,7 +140,7 @@ def operator_drive(
     if kind == 'scoop' and tool is None:
         tool = bucket(rng.uniform(*SCOOP_RADII), rng.uniform(*BRIEF_WIDTHS), rng.random() < 0.7)
     drive, drawn = checks.first_that_fits(
-        lambda: _draw(rng, scene, kind, tool, most), scene.bin, f'{kind!r}, seed {seed}',
+        lambda: _draw(rng, scene, kind, tool, leans), scene.bin, f'{kind!r}, seed {seed}',
         lambda *drawn: _is_fine(scene.bin, *drawn),
     )  # fmt: skip
     if kind != 'trench' and kind not in FRAMES:  # as long as any run
@@ -158,9 +160,9 @@ def _draw_ground(rng, kind) -> dict:
     return ground
 
 
-def _draw(rng, scene, kind, tool, most_lean) -> tuple[Drive, dict]:
-    """One path that keeps all limits but perhaps not the room of the bin; a tool with an outline
-    leans back by at most so much (deg), but where it curls."""
+def _draw(rng, scene, kind, tool, bucket_leans) -> tuple[Drive, dict]:
+    """One path that keeps all limits but perhaps not the room of the bin; `bucket_leans` (deg) are
+    those of a tool with an outline, but where it curls."""
     box = scene.bin
     if tool is not None:
         width = tool['width']
@@ -171,7 +173,7 @@ def _draw(rng, scene, kind, tool, most_lean) -> tuple[Drive, dict]:
     body, kept = bodies.blade_or(tool, width)
     leans = STEEP_LEANS if rng.random() < _STEEP_SHARE else LEANS
     if tool is not None and len(tool['outline']) > 2:
-        leans = BUCKET_LEANS[0], most_lean
+        leans = bucket_leans
     clearance = rng.uniform(grid.TIP_CLEARANCE, 0.03)
     start_x = grid.blade_start(scene)[0]
     if kind in DOWN:
@@ -488,11 +490,20 @@ def _draw_tool(rng, widths) -> dict:
     return bodies.check_tool(tool)
 
 
-def floor_rise(tool: dict) -> float:
-    """Least angle (deg) by which a tool with an outline, upright, rises behind its edge: a floor
-    that falls bears on soil that the edge has not cut."""
-    behind = np.array([point for point in tool['outline'] if point[0] > tool['edge_radius']])
-    return float(np.degrees(np.arctan2(behind[:, 1], behind[:, 0])).min()) if len(behind) else 90.0
+def _relieved(tool: dict) -> tuple[float, float]:
+    """Leans (deg) at which all that lies behind the edge of a tool with an outline rises by
+    `RELIEF`: a floor that falls bears on soil that the edge has not cut. ValueError: there are
+    none."""
+    behind = (point for point in tool['outline'] if point[0] > tool['edge_radius'])
+    rise = min((math.degrees(math.atan2(y, x)) for x, y in behind), default=90.0)
+    low, high = BUCKET_LEANS
+    high = min(high, rise - RELIEF)
+    if high - LEAST_LEANS < -bodies.MAX_LEAN_DEG:
+        raise ValueError(
+            f'the outline of {tool["name"]!r} falls by {-rise:.3g} deg behind its edge, the '
+            f'origin; turn it about that, until its floor rises'
+        )
+    return min(low, high - LEAST_LEANS), high
 
 
 def bucket(radius: float, width: float, has_plates: bool) -> dict:

@@ -41,6 +41,10 @@ def started(tool, out, *more, **options):
     [
         ({'outline': [[0, 0], [0.1, 0.1], [0.1, 0], [0, 0.1]]}, {}, 'crosses itself'),
         ({'width': 1.19}, {}, 'does not fit|none of 200 motions'),
+        (
+            {'outline': [[0, 0], [0.1, -0.14], [0.12, -0.13], [0, 0.05]]}, {},
+            "the outline of 'bucket' falls by 54.5 deg behind its edge",
+        ),
         ({}, {'runs': 4, 'kept': 2}, 'none is left to learn from'),
         ({}, {'initial_weights': 'none_such'}, 'none_such: no folder with a config.json'),
     ],
