@@ -13,7 +13,8 @@ smaller there, else the shipped one; that is written in `--formats`.
 
     raw/  data/  model/  judged/  judged_as_it_is/  c/  fmu/  page.html  new_tool.json
 
-Each step is a command of its own, that goes on where it stopped: so does this one, given again.
+Each step is a command of its own, that goes on where it stopped: so does this one, given again. Of
+the runs, as many as are kept back may fail.
 """
 
 import json
@@ -26,7 +27,7 @@ import time
 
 from absl import flags
 
-from mpm import bodies, scenes
+from mpm import bodies, raw_run, scenes
 from mpm.motions import catalogue
 from pca_tools import command, files
 from pca_tools.storage.folder_lock import locked
@@ -107,6 +108,13 @@ def planned(tool: dict, count: int) -> tuple[scenes.Scene, str, list[str]]:
     return scene, kinds, list(cases)
 
 
+def made_of(raw: str, cases: list[str]) -> list[str]:
+    """Those of some runs that a folder holds."""
+    manifest = raw_run.read_manifest(raw) or {'runs': []}
+    made = {run['case'] for run in manifest['runs']}
+    return [case for case in cases if case in made]
+
+
 def errors(work: Work) -> list[tuple[float, str]]:
     """Of the trained and of the shipped model: the product of the errors of soil and force,
     infinite of one that refused, and both errors in words."""
@@ -162,12 +170,19 @@ def main(values, arguments) -> None:
         data, model = f'--data_path={work.at("data")}', f'--model_path={work.at("model")}'
         inside = catalogue.bin_name(scene, cases[0])
         raw = work.at('raw', *filter(None, [inside]))
-        work.do(
-            '1 of 5, runs of the solver', 'mpm.generate', f'--scene={scene.name}',
-            f'--operator_seeds={FIRST_SEED}-{FIRST_SEED + count - 1}', f'--kinds={kinds}',
-            f'--tool={tool_file}', f'--output_path={work.at("raw")}',
-            f'--num_processes={values.num_processes}', f'--cluster={values.cluster}',
-        )  # fmt: skip
+        try:
+            work.do(
+                '1 of 5, runs of the solver', 'mpm.generate', f'--scene={scene.name}',
+                f'--operator_seeds={FIRST_SEED}-{FIRST_SEED + count - 1}', f'--kinds={kinds}',
+                f'--tool={tool_file}', f'--output_path={work.at("raw")}',
+                f'--num_processes={values.num_processes}', f'--cluster={values.cluster}',
+            )  # fmt: skip
+        except ValueError:  # a motion that the solver cannot follow must not stop all others
+            made = made_of(raw, cases)
+            if len(made) < count - kept:
+                raise
+            print(f'goes on with {len(made)} of {count} runs', flush=True)
+            cases, count = made, len(made)
         if not os.path.exists(work.at('data', 'metadata.json')):
             # Runs of all kinds are kept back, and as many validate.
             share = kept / count

@@ -272,7 +272,8 @@ def _is_fine(box, drive, parameters) -> bool:
     x, y, angle, _ = drive.pose(times).T
     depth = box.surface - y - bodies.lowest(drive.body, angle)
     if plot == 'scoop':  # the heel may press, as that of an excavator does
-        return x.min() >= scenes.CORNER + FRONT_ROOM
+        has_room = x.min() >= scenes.CORNER + FRONT_ROOM
+        return has_room and y.max() <= scenes.CORNER + box.height  # the soil that it holds, too
     if plot in DOWN:
         return x.min() >= scenes.CORNER + FRONT_ROOM / 2
     if x.min() < scenes.CORNER + FRONT_ROOM or _is_squeezing(x, y, angle, depth, box):

@@ -110,6 +110,30 @@ def test_the_last_line(tmp_path):
     )
 
 
+@pytest.mark.parametrize('lost, goes_on', [(1, True), (2, False)])
+def test_a_run_that_the_solver_cannot_make_does_not_stop_all(tmp_path, monkeypatch, lost, goes_on):
+    tool, steps = tmp_path / 'tool.json', {}
+    tool.write_text(json.dumps(SCOOP))
+    cases = new_tool.planned(bodies.check_tool(SCOOP), 6)[2]
+    manifest = {'runs': [{'case': case} for case in cases[: 6 - lost]]}
+    monkeypatch.setattr(new_tool.raw_run, 'read_manifest', lambda folder: manifest)
+
+    def do(self, step, module, *arguments):
+        steps[module] = arguments
+        raise ValueError(f'{step} failed')
+
+    monkeypatch.setattr(new_tool.Work, 'do', do)
+    asked = {
+        'runs': 6, 'kept': None, 'initial_weights': None, 'num_steps': 20, 'formats': ['c'],
+        'learning_rate': 1e-3, 'num_processes': 2, 'cluster': '', 'output_path': tmp_path / 'out',
+    }  # fmt: skip
+    failed = '2 of 5, dataset failed' if goes_on else '1 of 5, runs of the solver failed'
+    with pytest.raises(ValueError, match=failed):
+        new_tool.main(types.SimpleNamespace(**asked), [str(tool)])
+    if goes_on:
+        assert {'--hold_out=scoop_9004', '--split=0.6,0.2,0.2'} <= set(steps['pca_tools.convert'])
+
+
 @pytest.mark.slow
 def test_from_an_outline_to_c_with_a_kill_in_between(tmp_path, monkeypatch, capsys):
     tool, out = tmp_path / 'scoop.json', tmp_path / 'out'

@@ -86,3 +86,11 @@ def test_the_floor_of_a_given_bucket_rises_behind_its_edge(kind):
         height = floor[0] * np.sin(angle) + floor[1] * np.cos(angle)
         assert height.min() >= 0.2 * math.sin(math.radians(10.0)) - 1e-9
         assert height.max() > height.min() + 0.02  # it leans on its way
+
+
+def test_a_large_bucket_does_not_lift_soil_out_of_the_grid():
+    """It curls about a pin that is as far from it as it is large."""
+    tool, box = bucket(0.12, 0.36, True), scenes.EXCAVATION.bin
+    for seed in range(9006, 9014, 2):
+        drive = catalogue.motion_of(scenes.EXCAVATION, f'scoop_{seed}', tool).drive
+        assert drive.pose(np.arange(401) / 60.0)[:, 1].max() <= scenes.CORNER + box.height
