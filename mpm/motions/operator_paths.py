@@ -133,7 +133,8 @@ def operator_drive(
     parameters, leans = {}, BUCKET_LEANS
     if tool is not None and len(tool['outline']) > 2:
         leans = _relieved(tool)
-    if kind in ('soils', *BRIEF) or (kind == 'scoop' and rng.random() < 0.5):
+    is_other = kind == 'scoop' and rng.random() < 0.5 and tool is None  # a given one: usual soil
+    if kind in ('soils', *BRIEF) or is_other:
         parameters['ground'] = _draw_ground(rng, kind)
     if kind in ('tools', *BRIEF) and tool is None:
         tool = _draw_tool(rng, WIDTHS if kind == 'tools' else BRIEF_WIDTHS)

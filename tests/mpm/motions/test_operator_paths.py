@@ -92,5 +92,7 @@ def test_a_large_bucket_does_not_lift_soil_out_of_the_grid():
     """It curls about a pin that is as far from it as it is large."""
     tool, box = bucket(0.12, 0.36, True), scenes.EXCAVATION.bin
     for seed in range(9006, 9014, 2):
-        drive = catalogue.motion_of(scenes.EXCAVATION, f'scoop_{seed}', tool).drive
+        motion = catalogue.motion_of(scenes.EXCAVATION, f'scoop_{seed}', tool)
+        drive = motion.drive
+        assert motion.ground == scenes.Ground()  # others are of drawn buckets
         assert drive.pose(np.arange(401) / 60.0)[:, 1].max() <= scenes.CORNER + box.height
