@@ -179,7 +179,7 @@ def main(values, arguments) -> None:
             )  # fmt: skip
         except ValueError:  # a motion that the solver cannot follow must not stop all others
             made = made_of(raw, cases)
-            if len(made) < count - kept:
+            if len(made) < count - kept or len(made) <= 2 * kept:
                 raise
             print(f'goes on with {len(made)} of {count} runs', flush=True)
             cases, count = made, len(made)

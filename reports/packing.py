@@ -40,8 +40,9 @@ MOVED = 1e-6  # m, less than which the grains of a packing were moved
 
 
 def judged(tool: str, others: list[runs_lib.Run]) -> list[dict]:
-    """Errors of each run with another packing, and of the field of a tool in both; ValueError: the
-    data of record do not hold a case."""
+    """How far each run, with another packing or grains that were moved, is from the one of record,
+    and the errors of the field of a tool in both: a row a run, by `WHO` (mm; relative L2 norms).
+    ValueError: the data of record do not hold a case."""
     from learning_to_simulate.soil_field import evaluation
 
     model, folders = SCENES[tool]
@@ -65,12 +66,13 @@ def judged(tool: str, others: list[runs_lib.Run]) -> list[dict]:
         apart |= evaluation.soil_errors(run, other.particles) if is_moved else {}
         row: dict = {'case': run.case, 'kind': run.kind, 'split': run.split, 'moved': is_moved}
         keys = *QUANTITIES, *[HEIGHT] * is_free, *[SOIL] * is_moved
-        for who, of in (('apart', None), ('usual', run), ('other', other)):
-            errors = apart if of is None else evaluation.of_rollout(judges.roll_out(of), of)
-            if of is not None and is_free:
+        found = {'apart': apart}
+        for who, of in (('usual', run), ('other', other)):
+            found[who] = evaluation.of_rollout(judges.roll_out(of), of)
+            if is_free:
                 free = judges.roll_out(of, under_load=True)
-                errors |= evaluation.motion_errors(free.pose, of)
-            row[who] = {key: record.four(errors[key]) for key in keys}
+                found[who] |= evaluation.motion_errors(free.pose, of)
+        row |= {who: {key: record.four(of[key]) for key in keys} for who, of in found.items()}
         rows.append(row)
     return rows
 

@@ -110,12 +110,12 @@ def test_the_last_line(tmp_path):
     )
 
 
-@pytest.mark.parametrize('lost, goes_on', [(1, True), (2, False)])
-def test_a_run_that_the_solver_cannot_make_does_not_stop_all(tmp_path, monkeypatch, lost, goes_on):
+@pytest.mark.parametrize('count, lost, goes_on', [(6, 1, True), (6, 2, False), (3, 1, False)])
+def test_a_run_that_cannot_be_made_does_not_stop_all(tmp_path, monkeypatch, count, lost, goes_on):
     tool, steps = tmp_path / 'tool.json', {}
     tool.write_text(json.dumps(SCOOP))
-    cases = new_tool.planned(bodies.check_tool(SCOOP), 6)[2]
-    manifest = {'runs': [{'case': case} for case in cases[: 6 - lost]]}
+    cases = new_tool.planned(bodies.check_tool(SCOOP), count)[2]
+    manifest = {'runs': [{'case': case} for case in cases[: count - lost]]}
     monkeypatch.setattr(new_tool.raw_run, 'read_manifest', lambda folder: manifest)
 
     def do(self, step, module, *arguments):
@@ -124,7 +124,7 @@ def test_a_run_that_the_solver_cannot_make_does_not_stop_all(tmp_path, monkeypat
 
     monkeypatch.setattr(new_tool.Work, 'do', do)
     asked = {
-        'runs': 6, 'kept': None, 'initial_weights': None, 'num_steps': 20, 'formats': ['c'],
+        'runs': count, 'kept': None, 'initial_weights': None, 'num_steps': 20, 'formats': ['c'],
         'learning_rate': 1e-3, 'num_processes': 2, 'cluster': '', 'output_path': tmp_path / 'out',
     }  # fmt: skip
     failed = '2 of 5, dataset failed' if goes_on else '1 of 5, runs of the solver failed'
