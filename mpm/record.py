@@ -34,7 +34,7 @@ from pca_tools.files import read_json, write_json
 
 # Kinds of which each is a part.
 _ALONE = ('beside', 'soils', 'tools', 'trench', 'spread', 'backdrag', *operator_paths.BRIEF,
-          'scoop', 'plunge')  # fmt: skip
+          'scoop', 'plunge', 'buckets')  # fmt: skip
 # Part -> (scene, kinds that take turns; none: the cases of the grid).
 PARTS = {
     'operator': (scenes.EXCAVATION, (*operator_paths.TURNS, 'halts')),

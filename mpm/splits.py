@@ -40,6 +40,7 @@ RUNS = {
         'gravity': 40,
         'scoop': 30,
         'plunge': 40,
+        'buckets': 60,
     },
     'wheel': {
         **dict.fromkeys(('slip', 'stops', 'reverse', 'load'), 30),
@@ -54,7 +55,10 @@ RUNS = {
 # Further runs, all of `train`, whose seeds follow those of `RUNS`: short ones, each with a tool and
 # a soil of its own, because what differs between runs is what a model must learn; and blades that
 # are set down: of the first 15 for training two are heavy and fall.
-MORE = {'excavation': {'brief': 180, 'gravity': 60, 'scoop': 30, 'free': 120}, 'wheel': {}}
+MORE = {
+    'excavation': {'brief': 180, 'gravity': 60, 'scoop': 30, 'free': 120, 'buckets': 60},
+    'wheel': {},
+}
 TEST, VALID = 10, 5  # runs of each kind
 
 

@@ -61,6 +61,8 @@ _SHAPE = {
     'length': ('m', 'height of the outline over the edge'),
     'bucket': (None, '1 of a shell that is open to the front, 0 of a flat blade'),
     'plates': (None, '1 where the ends of a bucket are closed, else 0'),
+    'floor_deg': ('deg', 'rise of the underside of a bucket behind its edge'),
+    'floor_share': (None, 'length of that underside over the height'),
     'lugs': (None, 'number of grousers'),
     'lug_height': ('m', 'of the grousers'),
 }  # as in lts_soil_tool

@@ -24,8 +24,8 @@ from learning_to_simulate.soil_field import field as soil_field
 # Status of what leaves its range, by its name; of all other numbers it is LTS_OUTSIDE_POSE.
 _BITS = {
     'LTS_OUTSIDE_CONTEXT': (
-        'half_width', 'friction', 'radius', 'length', 'bucket', 'plates', 'edge', 'lugs',
-        'lug_height', 'stress',
+        'half_width', 'friction', 'radius', 'length', 'bucket', 'plates', 'floor',
+        'floor_share', 'edge', 'lugs', 'lug_height', 'stress',
     ),
     'LTS_OUTSIDE_START': (
         'bed_low', 'bed_high', 'uneven', 'wall', 'wall_behind', 'beyond_map', 'thin_soil',
@@ -46,8 +46,8 @@ _CONSTANTS = {
         'EVEN_SLOPE', 'UNDER', 'CROSSED',
     ),
     payload: (
-        'SHELL', 'BACK_HEIGHT', 'BACK_REACH', 'SLIPS', 'SLIPS_OUT', 'TAKEN',
-        'CURLED', 'TAKEN_ALONG', 'TAKEN_ACROSS', 'FALLS_AHEAD', 'FALLS_APART',
+        'SHELL', 'ARC', 'SLIPS', 'SLIPS_OUT', 'TAKEN', 'CURLED', 'TAKEN_ALONG', 'TAKEN_ACROSS',
+        'FALLS_AHEAD', 'FALLS_APART',
     ),
     place: ('N_BESIDE', 'BESIDE_WIDTH', 'ACROSS', 'BESIDE'),
     sweep: (
@@ -56,7 +56,7 @@ _CONSTANTS = {
     swept: ('GRAZE',),
     terrain: ('SLIDES', 'SLOPE_TOLERANCE'),
     tools: (
-        'BUCKET_EDGE', 'FLOOR_ANGLE', 'FLOOR_SHARE', 'FLOOR_FALLS', 'CURL', 'STANDARD_DENSITY',
+        'BUCKET_EDGE', 'FLOOR_DEG', 'FLOOR_SHARE', 'FLOOR_FALLS', 'CURL', 'STANDARD_DENSITY',
         'STANDARD_GRAVITY',
     ),
 }  # fmt: skip
@@ -91,7 +91,6 @@ def values(field) -> dict:
         'rim': tools.Wheel.RIM,
         'lean_length': tools.LEAN,
         'below_tool': passage.BELOW,
-        'inside': payload.INSIDE.ravel(),
         'lifted': tool.lifted,
         'turned_back': passage.BACK,
         'strikes': tool.strikes,

@@ -57,6 +57,8 @@ WORDS = {
     'length': ('length of the tool', 'm'),
     'bucket': ('being a bucket', ''),
     'plates': ('side plates of the bucket', ''),
+    'floor': ('rise of the underside of the bucket', 'rad'),
+    'floor_share': ('length of the underside of the bucket, in heights of it', ''),
     'edge': ('radius of the edge', 'm'),
     'lugs': ('number of grousers', ''),
     'lug_height': ('height of the grousers', 'm'),

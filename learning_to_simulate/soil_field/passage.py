@@ -147,10 +147,10 @@ class Passage:
         """Whether the way is long, or the ground has another grade, and the tool has just cut
         farther than before."""
         s, under = self.state, self.strips.under
-        is_new = s.foremost[under].max() == s.tip
-        is_other = self._ground(s.surface, s.origin, RELAID) is not self.place
-        is_due = s.way > self.tool.renewed_after or is_other
-        return bool(is_due and is_new and not self.is_lifted)
+        if self.is_lifted or s.foremost[under].max() != s.tip:
+            return False
+        is_long = bool(s.way > self.tool.renewed_after)
+        return is_long or self._ground(s.surface, s.origin, RELAID) is not self.place
 
     def renewed(self, pose) -> 'Passage':
         """The passage that goes on from its pose [7], on the terrain as it is by now."""
@@ -223,8 +223,10 @@ class Passage:
 
     def _ground(self, surface, origin, least=FLAT) -> Place:
         """The place on the ground of a surface [J, n_bin] about an origin, if it slopes by more."""
+        if not self._lays:
+            return self.place
         height, slope, off = _line(surface)
-        if not self._lays or abs(slope) <= least or off > EVEN_SLOPE:
+        if abs(slope) <= least or off > EVEN_SLOPE:
             return self.place
         place = self.place.relaid(self.scale * (height - slope * origin), slope)
         return place if abs(place.grade) <= STEEP else self.place
@@ -312,7 +314,8 @@ class Passage:
         ), axis=-1).reshape(-1, 2)  # fmt: skip
         rise = np.asarray(self._rise(self, places), np.float64)  # type: ignore[misc]
         over = np.maximum(rise + self._cut_at(places[:, 0]), 0.0)
-        most = payload.kept(self._lean) * self._inside * float(over.mean())
+        most = payload.kept(self.tool.shape, self._lean)  # type: ignore[attr-defined]
+        most *= self._inside * float(over.mean())
         return min(max(self._room.area - self.payload, 0.0), most)
 
     @property
@@ -321,7 +324,7 @@ class Passage:
 
     @property
     def _inside(self):
-        return payload.reach(self.tool.length / self.scale)  # type: ignore[attr-defined]
+        return self.tool.shape.reach  # type: ignore[attr-defined]
 
     def _cut_at(self, u):
         """Mean cut of the strips under the tool at places u [k] from the origin, m of the field."""

@@ -1,4 +1,4 @@
-"""Soil that a bucket holds: how much room its lean leaves, from the shape that was taught.
+"""Soil that a bucket holds: how much room its shape and its lean leave.
 
 In the plane of travel soil lies in the shell below two lines at the angle of repose: one that rises
 backwards from the edge, one that rises forwards from the upper rim. Along the floor it slides out
@@ -10,15 +10,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-# The shell of `mpm.motions.operator_paths.bucket`: thickness, m; slope of the floor, rad; length of
-# the floor, in radii of its back.
-SHELL, FLOOR_SLOPE, FLOOR_LENGTH = 0.024, math.radians(15.0), 1.6
-# Lean, rad, from which on all soil stays on the floor, and over which it slides out (a friction of
-# 0.3 between tool and soil holds it on slopes of 17 deg, that is at leans over -2 deg).
-SLIPS, SLIPS_OUT = math.radians(-2.0), math.radians(8.0)
-# Share of the soil over the floor that stays there as the bucket leaves the ground, below a lean
-# and above another (rad): fitted to 39 training and validation runs of kind `scoop`.
-TAKEN, CURLED = (0.53, 0.95), (math.radians(-9.0), math.radians(24.0))
+# The shell of `mpm.motions.operator_paths.bucket`: thickness, m; arc of the back, rad.
+SHELL, ARC = 0.024, math.radians(165.0)
+# How steeply the floor may rise behind the edge where all soil stays on it, and over which slopes
+# beyond that it slides out, rad (a friction of 0.3 between tool and soil holds it up to 17 deg).
+SLIPS, SLIPS_OUT = math.radians(17.0), math.radians(8.0)
+# Share of the soil over the floor that stays there as the bucket leaves the ground, where the floor
+# falls by less than an angle behind the edge, and by more than another (rad): fitted to 39 training
+# and validation runs of kind `scoop`.
+TAKEN, CURLED = (0.53, 0.95), (math.radians(-24.0), math.radians(9.0))
 # Where that soil is looked for, in reaches behind the edge, and across in half widths.
 TAKEN_ALONG = (np.arange(6) + 0.5) / 6
 TAKEN_ACROSS = (-0.8, -0.4, 0.0, 0.4, 0.8)
@@ -26,27 +26,43 @@ TAKEN_ACROSS = (-0.8, -0.4, 0.0, 0.4, 0.8)
 FALLS_AHEAD, FALLS_APART = 0.03, 0.04
 # Share by which the height of each particle in a picture differs from that of the last.
 GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
-_BACK = FLOOR_SLOPE - math.pi / 2 + np.linspace(0.0, math.radians(165.0), 8)
-_FLOOR = np.array([math.cos(FLOOR_SLOPE), math.sin(FLOOR_SLOPE)])
-_RING = FLOOR_LENGTH * _FLOOR + np.array([-_FLOOR[1], _FLOOR[0]])
-# float64 [10, 2]: places u (along the way) and y of the edge, the back up to the upper rim, and a
-# point far out of the mouth, in radii of the back.
-INSIDE = np.concatenate([[[0.0, 0.0]], _RING + np.stack([np.cos(_BACK), np.sin(_BACK)], axis=1)])
-INSIDE[:, 0] *= -1.0
-_MOUTH = INSIDE[-1] - INSIDE[0]
-INSIDE = np.concatenate([INSIDE, [INSIDE[-1] / 2 + [_MOUTH[1], -_MOUTH[0]]]])
-# Height of the outline over the edge without the shell, and reach behind the edge, in such radii.
-BACK_HEIGHT, BACK_REACH = float(INSIDE[:-1, 1].max()), -float(INSIDE[:, 0].min())
 
 
-def radius(length: float) -> float:
-    """Inner radius of the back of a bucket of a height, m."""
-    return max(length - SHELL, 0.0) / BACK_HEIGHT
+class Shape(NamedTuple):
+    """Of a bucket, in lengths of the field: height of its outline over the edge; rise (rad) and
+    length of its underside right behind the edge, while it does not lean."""
 
+    height: float
+    rise: float
+    floor: float
 
-def reach(length: float) -> float:
-    """How far a bucket of a height reaches behind its edge, m."""
-    return BACK_REACH * radius(length)
+    @property
+    def slope(self) -> float:
+        """Rise of its floor inside, rad: its shell is sharp at the edge only."""
+        return self.rise + math.atan2(SHELL, self._inner)
+
+    @property
+    def _inner(self):
+        return math.sqrt(max(self.floor**2 - SHELL**2, 0.0))
+
+    @property
+    def inside(self) -> np.ndarray:
+        """float64 [10, 2]: places u (along the way) and y of the edge, the back up to the upper
+        rim, and a point far out of the mouth."""
+        sine, cosine = math.sin(self.slope), math.cos(self.slope)
+        # From the height: that of the floor's end, the radius across it, and half a circle.
+        radius = max(self.height - SHELL - self._inner * sine, 0.0) / (1.0 + cosine)
+        turn = self.slope - math.pi / 2 + np.linspace(0.0, ARC, 8)
+        along = self._inner * cosine + radius * (np.cos(turn) - sine)
+        up = self._inner * sine + radius * (np.sin(turn) + cosine)
+        u, y = -along[-1], up[-1]
+        far = u / 2 + y, y / 2 - u
+        return np.stack([[0.0, *-along, far[0]], [0.0, *up, far[1]]], axis=1)
+
+    @property
+    def reach(self) -> float:
+        """How far it reaches behind its edge, m."""
+        return -float(self.inside[:, 0].min())
 
 
 class Room(NamedTuple):
@@ -58,10 +74,10 @@ class Room(NamedTuple):
     holds: float = 0.0
 
 
-def room(length: float, lean: float, friction: float) -> Room:
-    """The room in a bucket of a height at a lean (rad), for soil of a friction (tangent of the
-    angle of repose)."""
-    points = _inside(length, lean)
+def room(shape: Shape, lean: float, friction: float) -> Room:
+    """The room in a bucket at a lean (rad), for soil of a friction (tangent of the angle of
+    repose)."""
+    points = _turned(shape, lean)
     edge, rim = points[0], points[-2]
     way = 1.0 if rim[0] > edge[0] else -1.0  # from the edge to the rim
     below = _cut(points, edge, -way * friction)
@@ -72,14 +88,14 @@ def room(length: float, lean: float, friction: float) -> Room:
     twice = u * z - v * y
     area = abs(float(twice.sum())) / 2.0
     middle = float((twice * (u + v)).sum() / twice.sum()) / 3.0 if area > 0 else 0.0
-    holds = min(max((lean - SLIPS) / SLIPS_OUT + 1.0, 0.0), 1.0)
+    holds = min(max((SLIPS - (shape.slope - lean)) / SLIPS_OUT + 1.0, 0.0), 1.0)
     return Room(holds * area, middle, holds)
 
 
-def places(length: float, lean: float, friction: float, area: float, count: int) -> np.ndarray:
+def places(shape: Shape, lean: float, friction: float, area: float, count: int) -> np.ndarray:
     """So many places [count, 2] u and y from the edge, evenly in soil of an area (m2) on the floor
     of a bucket, for pictures; other arguments as of `room`."""
-    corners = _inside(length, lean)[:-1]
+    corners = _turned(shape, lean)[:-1]
     back = int(np.argmin(corners[:, 0]))
     u = np.linspace(corners[back, 0], 0.0, 65)
     bottom = np.interp(u, corners[back::-1, 0], corners[back::-1, 1])
@@ -92,14 +108,14 @@ def places(length: float, lean: float, friction: float, area: float, count: int)
     return np.stack([at, np.interp(at, u, bottom) + high * np.interp(at, u, depth)], axis=1)
 
 
-def kept(lean: float) -> float:
+def kept(shape: Shape, lean: float) -> float:
     """Share of the soil over its floor that a bucket keeps where it leaves the ground at a lean."""
-    return float(np.interp(lean, CURLED, TAKEN))
+    return float(np.interp(lean - shape.slope, CURLED, TAKEN))
 
 
-def _inside(length, lean):
+def _turned(shape, lean):
     sine, cosine = math.sin(lean), math.cos(lean)
-    return radius(length) * INSIDE @ np.array([[cosine, sine], [-sine, cosine]])
+    return shape.inside @ np.array([[cosine, sine], [-sine, cosine]])
 
 
 def _cut(points, through, fall):

@@ -7,7 +7,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from learning_to_simulate.soil_field.terrain import Terrain
-from learning_to_simulate.soil_field.tools import STANDARD_GRAVITY, Blade, Soil, Tool, Wheel
+from learning_to_simulate.soil_field.tools import (
+    FLOOR_DEG,
+    FLOOR_SHARE,
+    STANDARD_GRAVITY,
+    Blade,
+    Soil,
+    Tool,
+    Wheel,
+)
 from pca_tools import dataset, heights, particles
 
 # The solver's cells make a round edge half a cell blunter (`mpm.verification.ladder`), m.
@@ -130,8 +138,21 @@ def tool_of(case: dict) -> Tool:
     return Blade(
         width, float(outline['edge_radius']), max(height) - min(height),
         float(len(height) > 2),  # two points are a plate, all else that was taught is a bucket
-        float('side_plates' in outline),
+        float('side_plates' in outline), *underside_of(outline),
     )  # fmt: skip
+
+
+def underside_of(tool: dict) -> tuple[float, float]:
+    """Rise (deg) and length, as a share of the height, of the underside of a tool's outline: of the
+    line from its edge, the origin, to the point behind that by which it rises least. Of what is no
+    bucket the usual ones."""
+    x, y = np.array(tool['outline']).T
+    behind = x > tool['edge_radius']
+    if len(x) == 2 or not behind.any():
+        return FLOOR_DEG, FLOOR_SHARE
+    rise = np.where(behind, np.arctan2(y, x), np.inf)
+    k = int(np.argmin(rise))
+    return float(np.degrees(rise[k])), float(np.hypot(x[k], y[k]) / np.ptp(y))
 
 
 def read(folder: str, split: str) -> list[Run]:

@@ -7,7 +7,6 @@ import numpy as np
 
 from learning_to_simulate.native import soil_engine
 from learning_to_simulate.native.engines import BEST
-from learning_to_simulate.soil_field import payload
 from learning_to_simulate.soil_field.engine import SoilFrame
 from learning_to_simulate.soil_field.field import SoilField
 from learning_to_simulate.soil_field.place import UP, Place, checked_pose, place_of
@@ -121,7 +120,7 @@ class SoilStepper:
             ahead, _, across = np.moveaxis(
                 place_of(pose).local(np.stack([x, 0 * x, z], axis=-1)), -1, 0
             )
-            long = scale * payload.reach(self.tool.length / scale)  # type: ignore[attr-defined]
+            long = scale * self.tool.shape.reach  # type: ignore[attr-defined]
             there = (ahead <= 0) & (ahead > -long) & (np.abs(across) <= self.tool.width / 2)
             found[there] += held / max(there.sum(), 1) / np.prod(self.terrain.cell)
         return found

@@ -20,10 +20,10 @@ STANDARD_DENSITY, STANDARD_GRAVITY = 1730.61, 9.81
 # By how much a bucket's edge counts as blunter than it is, m of the field: plates were taught with
 # radii of 13 to 18 mm, buckets with 4, and what lies between is neither.
 BUCKET_EDGE = 0.01
-# The floor of a bucket as was taught (`mpm.motions.operator_paths.bucket`): its rise behind the
-# edge, rad, and its length as a share of that of the outline; most by which it falls, rad; lean up
+# Of a usual bucket (`mpm.motions.operator_paths.bucket`): rise of its underside behind the edge,
+# deg, and length of that as a share of its height. Most by which an underside falls, rad; lean up
 # to which buckets of training have curled in the soil, rad.
-FLOOR_ANGLE, FLOOR_SHARE, FLOOR_FALLS = math.radians(8.0), 0.6, math.radians(-60.0)
+FLOOR_DEG, FLOOR_SHARE, FLOOR_FALLS = 7.0, 0.6, math.radians(-60.0)
 CURL = 0.42
 LEAN = 0.1  # m of the field that a blade turns by with a change of lean of 1 rad
 
@@ -129,9 +129,11 @@ class Blade(Tool):
     Attributes:
       radius: of the edge, m; of a bucket 0.004 was taught.
       length: height of the upright outline over the edge, m.
-      bucket: 1 of a shell that is open to the front, 0 of a flat blade. A bucket that does not lean
-        has a floor that rises behind the edge by 15 degrees inside, by about 7 outside.
+      bucket: 1 of a shell that is open to the front, 0 of a flat blade.
       plates: 1 where the ends of a bucket are closed.
+      floor_deg: of a bucket that does not lean, by how much its underside rises behind the edge,
+        degrees: from the edge to where that is least.
+      floor_share: length of that underside as a share of `length`.
     """
 
     width: float = 0.457
@@ -139,6 +141,8 @@ class Blade(Tool):
     length: float = 0.277
     bucket: float = 0.0
     plates: float = 0.0
+    floor_deg: float = FLOOR_DEG
+    floor_share: float = FLOOR_SHARE
 
     name = 'blade'
     columns = 5
@@ -149,11 +153,15 @@ class Blade(Tool):
     backs, renewed_after = sweep.FORGET, 0.6
     taught_widths: ClassVar = (0.15, 0.6)
     # `edge` is judged only: no network sees it.
-    scalars = ('half_width', 'friction', 'radius', 'length', 'bucket', 'plates', 'edge', 'stress')
+    scalars = (
+        'half_width', 'friction', 'radius', 'length', 'bucket', 'plates', 'floor', 'floor_share',
+        'edge', 'stress',
+    )  # fmt: skip
 
     def __post_init__(self):
         super().__post_init__()
-        _check(self, ('length',))
+        _check(self, ('length', 'floor_share'))
+        _check(self, ('floor_deg',), 'lie in (-90, 90)', lambda value: -90 < value < 90)
         _check(self, ('bucket', 'plates'), 'be 0 or 1', lambda value: value in (0, 1))
 
     @property
@@ -164,18 +172,22 @@ class Blade(Tool):
         return CURL - lean if self.bucket else lean
 
     def back(self, lean):
-        """See `Tool`: a plate; of a bucket the floor of the taught shape."""
+        """See `Tool`: a plate; of a bucket the floor."""
         upright, share, least = np.pi / 2, 1.0, 0.0
         if self.bucket:
-            upright, share, least = FLOOR_ANGLE, FLOOR_SHARE, FLOOR_FALLS
+            upright, share, least = np.radians(self.floor_deg), self.floor_share, FLOOR_FALLS
         length = share * self.length - 2.0 * self.radius
         return float(np.clip(upright - lean, least, np.pi / 2)), max(length, 0.0) / self.scale
 
     def room(self, lean, soil):
         """See `Tool`, and `payload`."""
-        if not self.bucket:
-            return payload.Room()
-        return payload.room(self.length / self.scale, lean, soil.friction)
+        return payload.room(self.shape, lean, soil.friction) if self.bucket else payload.Room()
+
+    @property
+    def shape(self) -> payload.Shape:
+        """Of a bucket, in lengths of the field."""
+        height = self.length / self.scale
+        return payload.Shape(height, math.radians(self.floor_deg), self.floor_share * height)
 
     def turn(self, step):
         """See `Tool`: 0.1 m times the change of lean."""
@@ -183,9 +195,12 @@ class Blade(Tool):
 
     def values(self, soil):
         s = self.scale
+        floor = self.floor_deg, self.floor_share
+        floor_deg, floor_share = floor if self.bucket else (FLOOR_DEG, FLOOR_SHARE)
         return np.array(
             [self.width / 2 / s, soil.friction, self.radius / s, self.length / s, self.bucket,
-             self.plates, self.radius / s + BUCKET_EDGE * self.bucket, np.log(soil.weight * s)]
+             self.plates, np.radians(floor_deg), floor_share,
+             self.radius / s + BUCKET_EDGE * self.bucket, np.log(soil.weight * s)]
         )  # fmt: skip
 
 

@@ -60,7 +60,7 @@ class Followed:
             return
         points, t, tool = self.points().astype(np.float64), self._terrain, self._tool
         place, scale = place_of(self._pose), tool.scale
-        length, lean = tool.length / scale, place.turns(self._pose)[0]  # type: ignore[attr-defined]
+        shape, lean = tool.shape, place.turns(self._pose)[0]  # type: ignore[attr-defined]
         ahead, _, across = place.local(points).T / scale
 
         def put(which, u):
@@ -69,7 +69,7 @@ class Followed:
         held = np.flatnonzero(self._held)
         if volume > before:
             # The highest behind the edge, over the terrain now that this soil is gone.
-            behind = (ahead <= 0.0) & (ahead > -payload.reach(length))
+            behind = (ahead <= 0.0) & (ahead > -shape.reach)
             behind &= ~self._held & (np.abs(across) <= tool.width / scale / 2)
             over = np.where(behind, points[:, 1] - t.at(points[:, 0], points[:, 2]), -np.inf)
             count = min(round((volume - before) * self._density), int(behind.sum()))
@@ -83,7 +83,7 @@ class Followed:
         held = np.flatnonzero(self._held)
         held = held[np.argsort(ahead[held], kind='stable')]
         area = volume / scale**2 / tool.width
-        u, up = payload.places(length, lean, t.soil.friction, area, len(held)).T
+        u, up = payload.places(shape, lean, t.soil.friction, area, len(held)).T
         put(held, u)
         points[held, 1] = self._pose[1] + scale * up
         self._in_tool[held] = (points[held] - self._pose[:3]) @ rotation_matrix(self._pose[3:])

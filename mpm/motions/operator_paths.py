@@ -26,6 +26,8 @@ brief: a short run, with a tool and a soil of its own, at any place of the bin: 
 gravity: as brief, under a gravity between that of the Moon and ten times that of the Earth.
 scoop: a bucket cuts, curls about a pin over it, lifts what it holds, and dumps that in one to three
     steps.
+buckets: a short run with a bucket of a drawn shape, straight down or nearly so, then on, deeper, or
+    out and down again, its floor level or rising; or a scoop.
 """
 
 import math
@@ -38,7 +40,7 @@ from mpm.motions.drive import Drive, Levels, Track, poses
 
 TURNS = ('smooth', 'stops', 'reverse', 'lift', 'disturbed')  # of seeds, if no kind is named
 KINDS = (*TURNS, 'halts', 'beside', 'soils', 'tools', 'trench', 'spread', 'backdrag',
-         'brief', 'gravity', 'scoop', 'plunge')  # fmt: skip
+         'brief', 'gravity', 'scoop', 'plunge', 'buckets')  # fmt: skip
 BRIEF = ('brief', 'gravity')  # with a tool and a soil of their own
 DOWN = (*BRIEF, 'plunge')  # straight down somewhere, near walls as well
 BINS = {'beside': 'wide', 'tools': 'wide', 'trench': 'long'}  # the others: the scene's own
@@ -47,7 +49,7 @@ MAX_SPEED = 0.15  # m/s along the bed
 MAX_RISE = 0.15  # m/s up or down
 MAX_TURN = 60.0  # deg/s
 LEANS, STEEP_LEANS = (0.0, 45.0), (25.0, bodies.MAX_LEAN_DEG)  # deg, of a blade
-BUCKET_LEANS = (-35.0, 5.0)  # deg, of a tool with an outline: its edge goes in first
+BUCKET_LEANS = (-35.0, 5.0)  # deg, of a bucket of the usual shape: its edge goes in first
 # Deg: by which the floor of a given bucket rises behind its edge; least range of its leans.
 RELIEF, LEAST_LEANS = 10.0, 20.0
 CURLS = (0.0, 60.0)  # deg, of a bucket that lifts what it holds
@@ -71,6 +73,7 @@ LAYERS = 0.003, 0.038  # m, of the edge above the bed
 LEAST_SPREAD_FRAMES, LEAST_BACKDRAG = 40, 0.12  # m
 # Of the other kinds: the scene's own, or `_trench`'s.
 FRAMES = {'spread': 220, 'backdrag': 290, 'brief': 110, 'gravity': 110, 'scoop': 400, 'plunge': 140}
+BUCKETS_FRAMES, SCOOPS_SHARE = {'brief': 150, 'scoop': 300}, 0.6  # of `buckets`, by plot
 # Of drawn tools.
 WIDTHS = (0.15, 0.60)  # m
 BRIEF_WIDTHS = (0.15, 0.40)  # m, in a bin that is half as wide
@@ -78,6 +81,10 @@ DOWN_START = (0.30, 0.82)  # m
 BLADE_HEIGHTS = (0.15, 0.40)  # m
 EDGE_RADII = (0.008, 0.018)  # m, of blades
 BUCKET_RADII = (0.08, 0.16)  # m
+# Of `buckets`: radius of the back, length of the floor (m); rise of the floor inside, arc of the
+# back (deg); height (m); rise of the underside (deg); least and most by which that is kept.
+BACKS, FLOORS, RISES, ARCS = (0.06, 0.14), (0.10, 0.28), (5.0, 35.0), (130.0, 190.0)
+BUCKET_HEIGHTS, UNDERSIDES, RELIEFS = (0.17, 0.42), (-5.0, 30.0), np.array([0.0, 40.0])
 SHELL = 0.024  # m, thickness of a bucket's shell: several cells, so that no soil leaks through
 SHELL_EDGE = 0.004  # m, radius of its edges
 PLATE = 0.02  # m, of its side plates: one long cell
@@ -129,22 +136,26 @@ def operator_drive(
     the usual one, the `frames` where they are not as usual. ValueError: no path fits the bin, or
     an outline that falls behind its edge.
     """
-    rng = np.random.default_rng([seed, KINDS.index(kind), 1])
+    rng, limit = np.random.default_rng([seed, KINDS.index(kind), 1]), bodies.MAX_LEAN_DEG
     parameters, leans = {}, BUCKET_LEANS
-    if tool is not None and len(tool['outline']) > 2:
+    if tool is not None and len(tool['outline']) > 2 and kind != 'buckets':
         leans = _relieved(tool)
-    is_other = kind == 'scoop' and rng.random() < 0.5 and tool is None  # a given one: usual soil
+    # A given one is for the usual soil.
+    is_other = kind in ('scoop', 'buckets') and rng.random() < 0.5 and tool is None
     if kind in ('soils', *BRIEF) or is_other:
         parameters['ground'] = _draw_ground(rng, kind)
     if kind in ('tools', *BRIEF) and tool is None:
         tool = _draw_tool(rng, WIDTHS if kind == 'tools' else BRIEF_WIDTHS)
     if kind == 'scoop' and tool is None:
         tool = bucket(rng.uniform(*SCOOP_RADII), rng.uniform(*BRIEF_WIDTHS), rng.random() < 0.7)
+    if kind == 'buckets':
+        tool = _draw_bucket(rng) if tool is None else tool
+        leans = tuple(np.clip(underside(tool) - RELIEFS[::-1], -limit, limit))
     drive, drawn = checks.first_that_fits(
         lambda: _draw(rng, scene, kind, tool, leans), scene.bin, f'{kind!r}, seed {seed}',
         lambda *drawn: _is_fine(scene.bin, *drawn),
     )  # fmt: skip
-    if kind != 'trench' and kind not in FRAMES:  # as long as any run
+    if kind not in ('trench', 'buckets', *FRAMES):  # as long as any run
         del drawn['frames']
     return drive, parameters | drawn
 
@@ -175,9 +186,11 @@ def _draw(rng, scene, kind, tool, bucket_leans) -> tuple[Drive, dict]:
     leans = STEEP_LEANS if rng.random() < _STEEP_SHARE else LEANS
     if tool is not None and len(tool['outline']) > 2:
         leans = bucket_leans
-    clearance = rng.uniform(grid.TIP_CLEARANCE, 0.03)
+    clearance, plot = rng.uniform(grid.TIP_CLEARANCE, 0.03), kind
+    if kind == 'buckets':
+        plot = 'scoop' if rng.random() < SCOOPS_SHARE else 'brief'
     start_x = grid.blade_start(scene)[0]
-    if kind in DOWN:
+    if plot in DOWN:
         start_x, clearance = rng.uniform(*DOWN_START), grid.TIP_CLEARANCE
     elif kind != 'trench' and rng.random() < _ELSEWHERE_SHARE:
         start_x = rng.uniform(0.55, start_x + 0.02)
@@ -185,12 +198,12 @@ def _draw(rng, scene, kind, tool, bucket_leans) -> tuple[Drive, dict]:
         clearance = grid.TIP_CLEARANCE
     story = _Story(rng, -clearance, rng.uniform(*leans), leans)
     pin = np.zeros(2)
-    if kind == 'scoop':
+    if plot == 'scoop':
         # The way that is drawn is that of a pin, told as that of the edge at this lean; the back of
         # a bucket has a radius of 0.42 heights.
         story = _Story(rng, -clearance, rng.uniform(-30.0, -8.0), leans)
         pin = 0.42 * np.ptp(body.outline[:, 1]) * np.array(PIN)
-    hung, plot = math.radians(-story.last('lean')), kind
+    hung = math.radians(-story.last('lean'))
     if kind in ('soils', 'tools'):
         plot = rng.choice(TURNS)
     offsets, lead_in = [0.0], 0  # across, of each pass, the recorded one last
@@ -206,8 +219,8 @@ def _draw(rng, scene, kind, tool, bucket_leans) -> tuple[Drive, dict]:
         lead_in, move = _earlier_pass(rng, story)
         moves.append(move)
     begin, seconds = story.time, scenes.DURATION
-    if kind in FRAMES:
-        seconds = FRAMES[kind] / scenes.FRAME_RATE
+    if kind in (*FRAMES, 'buckets'):
+        seconds = (BUCKETS_FRAMES if kind == 'buckets' else FRAMES)[plot] / scenes.FRAME_RATE
     PLOTS[plot](rng, story, begin + seconds)
     if kind == 'trench':
         seconds = story.time
@@ -220,7 +233,7 @@ def _draw(rng, scene, kind, tool, bucket_leans) -> tuple[Drive, dict]:
         times = clock(times)
         x = start_x - speed.integral(times)
         angle = np.radians(-lean(times))
-        if kind == 'scoop':
+        if plot == 'scoop':
             x += _turned(pin, hung)[0] - _turned(pin, angle)[0]
             y = box.surface - bodies.lowest(body, np.array(hung)) - depth(times)
             y += _turned(pin, hung)[1] - _turned(pin, angle)[1]
@@ -492,13 +505,34 @@ def _draw_tool(rng, widths) -> dict:
     return bodies.check_tool(tool)
 
 
+def _draw_bucket(rng) -> dict:
+    """A bucket of a shape of its own."""
+    width, has_plates = rng.uniform(*BRIEF_WIDTHS), rng.random() < 0.7
+
+    def draw():
+        radius, floor = rng.uniform(*BACKS), rng.uniform(*FLOORS)
+        rise, arc = rng.uniform(*RISES), rng.uniform(*ARCS)
+        return bucket(radius, width, has_plates, floor, rise, arc)
+
+    while True:
+        tool = draw()
+        height = max(y for _, y in tool['outline'])
+        is_usual = BUCKET_HEIGHTS[0] <= height <= BUCKET_HEIGHTS[1]
+        if is_usual and UNDERSIDES[0] <= underside(tool) <= UNDERSIDES[1]:
+            return tool
+
+
+def underside(tool: dict) -> float:
+    """Deg by which all that lies behind the edge of a tool with an outline rises at least."""
+    behind = (point for point in tool['outline'] if point[0] > tool['edge_radius'])
+    return min((math.degrees(math.atan2(y, x)) for x, y in behind), default=90.0)
+
+
 def _relieved(tool: dict) -> tuple[float, float]:
     """Leans (deg) at which all that lies behind the edge of a tool with an outline rises by
     `RELIEF`: a floor that falls bears on soil that the edge has not cut. ValueError: there are
     none."""
-    behind = (point for point in tool['outline'] if point[0] > tool['edge_radius'])
-    rise = min((math.degrees(math.atan2(y, x)) for x, y in behind), default=90.0)
-    low, high = BUCKET_LEANS
+    rise, (low, high) = underside(tool), BUCKET_LEANS
     high = min(high, rise - RELIEF)
     if high - LEAST_LEANS < -bodies.MAX_LEAN_DEG:
         raise ValueError(
@@ -508,16 +542,19 @@ def _relieved(tool: dict) -> tuple[float, float]:
     return min(low, high - LEAST_LEANS), high
 
 
-def bucket(radius: float, width: float, has_plates: bool) -> dict:
+def bucket(
+    radius: float, width: float, has_plates: bool, floor: float | None = None,
+    rise_deg: float = 15.0, arc_deg: float = 165.0,
+) -> dict:  # fmt: skip
     """Returns a bucket of an inner `radius` (m) and a width (m) that opens towards -x; its edge is
-    the reference point. A flat floor rises by 15 degrees behind the edge and goes over into half a
-    circle; its ends may be closed by plates."""
-    rise = math.radians(15.0)
+    the reference point. A flat `floor` (m; without one 1.6 radii) rises behind the edge and goes
+    over into an arc; its ends may be closed by plates."""
+    rise = math.radians(rise_deg)
     along = np.array([math.cos(rise), math.sin(rise)])
     normal = np.array([-along[1], along[0]])
-    start = 1.6 * radius * along
+    start = (1.6 * radius if floor is None else floor) * along
     middle = start + radius * normal
-    turn = rise - math.pi / 2 + np.linspace(0.0, math.radians(165.0), SEGMENTS + 1)
+    turn = rise - math.pi / 2 + np.linspace(0.0, math.radians(arc_deg), SEGMENTS + 1)
     ring = np.stack([np.cos(turn), np.sin(turn)], axis=1)
     inner, outer = middle + radius * ring, middle + (radius + SHELL) * ring
     # The floor tapers towards the edge.

@@ -11,7 +11,7 @@ int main(int argc, char **argv) {
   if (argc < 3 || lts_soil_describe(model, &d) < 0) return 2;
   seed = 88172645463325252ull + (uint64_t)atoll(argv[1]);
   const int is_wheel = d.kind == LTS_SOIL_WHEEL;
-  const lts_soil_tool tool = {is_wheel ? 0.1 : 0.3, is_wheel ? 0.1 : 0.02, 0.2, 0.0, 0.0, 0.0, 0.0};
+  const lts_soil_tool tool = {is_wheel ? 0.1 : 0.3, is_wheel ? 0.1 : 0.02, 0.2, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0};
   lts_terrain grounds[2];
   double *heights[2];
   for (int i = 0; i < 2; ++i) {

@@ -77,7 +77,10 @@ class _Slave:
         self.c.freeInstance()
 
 
-KINDS = {'blade': Blade(0.3, 0.02, 0.2, 1.0), 'wheel': Wheel(0.1, 0.08, 12, 0.008)}
+KINDS = {
+    'blade': Blade(0.3, 0.02, 0.2, 1.0, floor_deg=9.0, floor_share=0.55),
+    'wheel': Wheel(0.1, 0.08, 12, 0.008),
+}
 H = 1 / 64  # a sum of them is exact
 
 

@@ -20,7 +20,7 @@ from tests.learning_to_simulate.native import worlds
 from tests.learning_to_simulate.soil_field.scenes import hills, poses
 
 pytestmark = worlds.needs_c
-BLADE = Blade(0.3, bucket=1.0)
+BLADE = Blade(0.3, bucket=1.0, floor_deg=9.0, floor_share=0.55)
 WHEEL = Wheel(0.1, 0.08, 12, 0.008)
 PLATE = dataclasses.replace(BLADE, bucket=0.0, plates=0.0)
 TOOLS = {'blade': BLADE, 'wheel': WHEEL}

@@ -119,7 +119,7 @@ def test_presets_give_the_frames_of_the_stepper(browser, pages, kind):
             answer = told(tab, STEPS, 200)
             seen = np.array(answer['seen'])
             assert (seen[:, -1] >= 0).all(), name
-            made = Wheel(*tool[:2], *tool[5:]) if kind == 'wheel' else Blade(*tool[:5])
+            made = Wheel(*tool[:2], *tool[7:]) if kind == 'wheel' else Blade(*tool[:7])
             terrain = terrain_of(ground)
             live = SoilStepper(FIELDS[kind](), terrain, made)
             live.start(first)
@@ -143,7 +143,7 @@ def test_a_load_is_borne_as_by_a_loaded_tool(browser, pages):
         tab.evaluate('page.driver.target.load = 60; page.driver.target.speed = 0.05')
         seen = np.array(told(tab, STEPS, 60)['seen'])
     assert (seen[:, -1] >= 0).all()
-    live = SoilStepper(FIELDS['blade'](), terrain_of(ground), Blade(*tool[:5]))
+    live = SoilStepper(FIELDS['blade'](), terrain_of(ground), Blade(*tool[:7]))
     live.start(first)
     loaded = LoadedTool(live, mass=60 / live.terrain.soil.gravity)
     heights = [loaded.step(pose).pose[1] for pose in seen[:, :7]]

@@ -104,7 +104,9 @@ def test_bounds_hold_on_the_runs_that_they_are_made_of(judged):
         off = np.linalg.norm((rollout.force - run.force)[H:], axis=1)
         spread, size = (np.linalg.norm(x[H:], axis=1) for x in (rollout.spread, rollout.force))
         limit = np.stack([np.ones_like(size), spread, size], axis=1) @ bounds['force']
-        assert row['bound_kept'] == pytest.approx((off <= limit).mean()) and row['bound_kept'] > 0.9
+        # The bound is drawn through the error of a frame, which rounding may put on either side.
+        least, most = ((off <= limit * (1.0 + way)).mean() for way in (-1e-5, 1e-5))
+        assert least - 1e-9 <= row['bound_kept'] <= most + 1e-9 and least > 0.9
         assert row['bound_newton'] == pytest.approx(limit.mean())
         near = evaluation.near(run)
         maps = [

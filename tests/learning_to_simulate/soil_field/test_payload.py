@@ -5,28 +5,36 @@ import pytest
 from matplotlib.path import Path
 
 from learning_to_simulate.soil_field import payload
+from learning_to_simulate.soil_field.runs import tool_of
 from mpm.motions import operator_paths
 
+SHAPES = [{}, {'floor': 0.12, 'rise_deg': 30.0}, {'floor': 0.25, 'rise_deg': 5.0}]
+USUAL = payload.Shape(0.25, np.radians(7.0), 0.15)
 
-def inner(radius):
-    """Edge and inside of the solver's bucket, up to its rim [9, 2]: u along the way, y."""
-    outline = np.array(operator_paths.bucket(radius, 0.3, False)['outline']) * [-1.0, 1.0]
-    return np.concatenate([outline[:1], outline[payload.INSIDE.shape[0] - 1 : -1][::-1]])
+
+def shape_of(made):
+    """Of a bucket of the solver, through what a field knows of it."""
+    return tool_of({'body_width_m': 0.3, 'tool': made}).shape
 
 
 @pytest.mark.parametrize('radius', [0.08, 0.15])
-def test_the_inside_is_that_of_the_bucket_of_the_solver(radius):
-    height = max(y for _, y in operator_paths.bucket(radius, 0.3, False)['outline'])
-    assert payload.radius(height) == pytest.approx(radius, abs=1e-4)
-    np.testing.assert_allclose(inner(radius), radius * payload.INSIDE[:-1], atol=2e-5)
+@pytest.mark.parametrize('given', SHAPES)
+def test_the_inside_is_that_of_the_bucket_of_the_solver(radius, given):
+    made = operator_paths.bucket(radius, 0.3, False, **given)
+    shape, outline = shape_of(made), np.array(made['outline']) * [-1.0, 1.0]
+    inner = np.concatenate([outline[:1], outline[9:-1][::-1]])  # edge and inside, up to its rim
+    near = 0.005 if given else 2e-5  # the highest corner of an arc may lie lower than the arc
+    np.testing.assert_allclose(inner, shape.inside[:-1], atol=near)
+    assert shape.reach == pytest.approx(-inner[:, 0].min(), abs=near)
 
 
+@pytest.mark.parametrize('given', SHAPES)
 @pytest.mark.parametrize('lean', [-0.03, 0.3, 0.9, 1.5])
 @pytest.mark.parametrize('friction', [0.5, 0.9])
-def test_room_and_its_middle_are_those_of_points_below_both_slopes(lean, friction):
-    radius, rng = 0.1, np.random.default_rng(0)
+def test_room_and_its_middle_are_those_of_points_below_both_slopes(lean, friction, given):
+    shape, rng = shape_of(operator_paths.bucket(0.1, 0.3, False, **given)), np.random.default_rng(0)
     turn = np.array([[np.cos(lean), np.sin(lean)], [-np.sin(lean), np.cos(lean)]])
-    corners = radius * payload.INSIDE @ turn
+    corners = shape.inside @ turn
     low, high = corners.min(axis=0), corners.max(axis=0)
     points = rng.uniform(low, high, (200_000, 2))
     edge, rim = corners[0], corners[-2]
@@ -34,28 +42,32 @@ def test_room_and_its_middle_are_those_of_points_below_both_slopes(lean, frictio
     inside = Path(corners).contains_points(points)
     for through, rises in ((edge, way), (rim, -way)):
         inside &= points[:, 1] <= through[1] + friction * rises * (points[:, 0] - through[0])
-    area, middle, _ = payload.room(payload.SHELL + payload.BACK_HEIGHT * radius, lean, friction)
-    assert area == pytest.approx(inside.mean() * np.prod(high - low), rel=0.03)
-    assert middle == pytest.approx(points[inside, 0].mean(), abs=1e-3)
+    area, middle, holds = payload.room(shape, lean, friction)
+    # How steeply the floor rises where it is 17 deg and where it is 25: all, and nothing.
+    assert holds == pytest.approx(np.clip((25 - np.degrees(shape.slope - lean)) / 8, 0, 1))
+    counted = inside.mean() * np.prod(high - low)
+    assert area == pytest.approx(holds * counted, rel=0.03, abs=1e-5)
+    assert middle == pytest.approx(points[inside, 0].mean() if inside.any() else 0.0, abs=2e-3)
 
 
 def test_soil_slips_out_where_the_floor_is_steep():
     leans = np.linspace(-0.3, 0.3, 61)
-    rooms = np.array([payload.room(0.25, lean, 0.76)[0] for lean in leans])
-    assert (rooms[leans < payload.SLIPS - payload.SLIPS_OUT] == 0).all()
+    rooms = np.array([payload.room(USUAL, lean, 0.76)[0] for lean in leans])
+    assert (rooms[USUAL.slope - leans > payload.SLIPS + payload.SLIPS_OUT] == 0).all()
     assert (np.diff(rooms) >= 0).all() and rooms[-1] > 0.01
-    assert payload.room(payload.SHELL / 2, 0.2, 0.76)[0] == 0  # all shell
-    kept = [payload.kept(lean) for lean in (-1.0, np.mean(payload.CURLED), 2.0)]
+    assert payload.room(payload.Shape(payload.SHELL, 0.0, 0.02), 0.2, 0.76)[0] == 0  # all shell
+    falls = (-2.0, np.mean(payload.CURLED), 2.0)
+    kept = [payload.kept(USUAL, fall + USUAL.slope) for fall in falls]
     np.testing.assert_allclose(kept, [0.53, 0.74, 0.95])
 
 
 def test_pictures_show_it_on_the_floor_as_high_as_its_area():
     lean, area = 0.5, 0.008
-    places = payload.places(0.25, lean, 0.76, area, 4000)
+    places = payload.places(USUAL, lean, 0.76, area, 4000)
     turn = np.array([[np.cos(lean), np.sin(lean)], [-np.sin(lean), np.cos(lean)]])
-    corners = payload.radius(0.25) * payload.INSIDE[:-1] @ turn
+    corners = USUAL.inside[:-1] @ turn
     wider = 1.01 * corners - 0.01 * corners.mean(axis=0)
     assert Path(wider).contains_points(places).mean() > 0.99
     cells = np.unique(np.floor(places / 0.004), axis=0)
     assert len(cells) * 0.004**2 == pytest.approx(area, rel=0.2)
-    assert len(payload.places(0.25, lean, 0.76, area, 0)) == 0
+    assert len(payload.places(USUAL, lean, 0.76, area, 0)) == 0

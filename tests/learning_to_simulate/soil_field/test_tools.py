@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from learning_to_simulate.soil_field.tools import Blade, Soil, Wheel
+from learning_to_simulate.soil_field.runs import tool_of, underside_of
+from learning_to_simulate.soil_field.tools import FLOOR_DEG, FLOOR_SHARE, Blade, Soil, Wheel
 from mpm.motions.operator_paths import BUCKET_RADII, bucket
 
 
@@ -44,8 +45,9 @@ def test_turns():
     [
         (Soil, {'friction_angle_deg': 90.0}), (Soil, {'density': 0.0}),
         (Soil, {'gravity': np.nan}), (Blade, {'width': -1.0}), (Blade, {'radius': np.inf}),
-        (Blade, {'length': 0.0}), (Blade, {'bucket': 0.5}), (Wheel, {'radius': 0.0}),
-        (Wheel, {'lugs': -1}), (Wheel, {'lug_height': np.nan}), (Blade, {'width': 'wide'}),
+        (Blade, {'length': 0.0}), (Blade, {'bucket': 0.5}), (Blade, {'floor_deg': 90.0}),
+        (Blade, {'floor_share': 0.0}), (Wheel, {'radius': 0.0}), (Wheel, {'lugs': -1}),
+        (Wheel, {'lug_height': np.nan}), (Blade, {'width': 'wide'}),
     ],
 )  # fmt: skip
 def test_values_that_nothing_has_are_refused(kind, values):
@@ -60,13 +62,22 @@ def test_the_back_of_a_plate_is_its_middle_line_and_of_a_bucket_its_floor():
     assert Blade(1.2, radius=0.04, length=0.6).back(0.0)[1] == pytest.approx(0.26)  # of the field
     assert Wheel().back(1.0) == (0.0, 0.0)
     lean = np.radians(-20.0)
-    for inner in BUCKET_RADII:  # of what was taught, the outline as it is
-        outline = np.array(bucket(inner, 0.4, False)['outline'])
-        floor, height = outline[1], np.ptp(outline[:, 1])
-        tool = Blade(0.4, radius=0.004, length=height, bucket=1.0)
-        angle, length = tool.back(lean)
-        assert angle == pytest.approx(np.arctan2(floor[1], floor[0]) - lean, abs=np.radians(4.0))
-        assert length == pytest.approx(np.hypot(*floor), rel=0.15)
+    for shape in ({}, {'floor': 0.15, 'rise_deg': 30.0, 'arc_deg': 140.0}):
+        for inner in BUCKET_RADII:
+            made = bucket(inner, 0.4, False, **shape)
+            floor = np.array(made['outline'])[1]
+            tool = tool_of({'body_width_m': 0.4, 'tool': made})
+            angle, length = tool.back(lean)
+            assert angle == pytest.approx(np.arctan2(floor[1], floor[0]) - lean)
+            assert length == pytest.approx(np.hypot(*floor) - 0.008)
+            if not shape:  # what is usual
+                assert tool.floor_deg == pytest.approx(FLOOR_DEG, abs=3.0)
+                assert tool.floor_share == pytest.approx(FLOOR_SHARE, abs=0.05)
+    tool = Blade(0.4, bucket=1.0)
     curled = [np.degrees(tool.back(np.radians(lean))[0]) for lean in (20.0, 90.0)]
-    assert curled == pytest.approx([-12.0, -60.0])  # its heel is lower than its edge
+    assert curled == pytest.approx([-13.0, -60.0])  # its heel is lower than its edge
+    assert underside_of({'outline': [[0.0, 0.0], [0.0, 0.3]], 'edge_radius': 0.01}) == (7.0, 0.6)
+    # A face that leans forward has nothing behind its edge.
+    ahead = {'outline': [[0.0, 0.0], [0.0, 0.3], [-0.1, 0.2]], 'edge_radius': 0.01}
+    assert underside_of(ahead) == (7.0, 0.6)
     assert Blade().back(2.0)[0] == 0.0

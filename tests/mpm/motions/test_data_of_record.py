@@ -16,7 +16,7 @@ DATASETS = pathlib.Path(__file__).resolve().parents[3] / 'datasets'
     'name, count',
     [
         ('excavation', 11), ('excavation_wide', 2), ('excavation_beyond', 1),
-        ('excavation_more', 17), ('excavation_long', 1), ('wheel', 8), ('wheel_beyond', 1),
+        ('excavation_more', 18), ('excavation_long', 1), ('wheel', 8), ('wheel_beyond', 1),
         ('wheel_more', 11),
     ],
 )  # fmt: skip

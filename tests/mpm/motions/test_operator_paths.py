@@ -9,7 +9,7 @@ import pytest
 from mpm import bodies, scenes
 from mpm.distance import signed_distances
 from mpm.motions import catalogue
-from mpm.motions.operator_paths import BUCKET_RADII, PLATE, SHELL, bucket
+from mpm.motions.operator_paths import BUCKET_RADII, PLATE, SHELL, bucket, operator_drive
 
 STEPS = 16  # a frame, of a path that is looked at
 
@@ -86,6 +86,27 @@ def test_the_floor_of_a_given_bucket_rises_behind_its_edge(kind):
         height = floor[0] * np.sin(angle) + floor[1] * np.cos(angle)
         assert height.min() >= 0.2 * math.sin(math.radians(10.0)) - 1e-9
         assert height.max() > height.min() + 0.02  # it leans on its way
+
+
+def test_drawn_buckets_differ_in_shape_and_their_floors_never_fall():
+    scene, seen = scenes.EXCAVATION, []
+    for seed in range(12):
+        drive, drawn = operator_drive(scene, 'buckets', seed)
+        outline, plot = np.array(drawn['tool']['outline']), drawn['plot']
+        assert drawn['frames'] == {'brief': 150, 'scoop': 300}[plot]
+        angle = drive.pose(np.arange(drawn['frames'] + 1) / 60.0)[:, 2]
+        behind = outline[outline[:, 0] > 0.01]
+        rise = np.degrees(np.arctan2(behind[:, 1], behind[:, 0]).min())
+        assert -5.0 <= rise <= 30.0 and 0.17 <= outline[:, 1].max() <= 0.42
+        if plot == 'brief':  # others curl
+            relief = rise + np.degrees(angle)
+            assert relief.min() >= -1e-9 and relief.max() <= 40.0 + 1e-9
+        seen.append((plot, rise, 'ground' in drawn, *outline[1]))
+    plots, rises, other, *floor = zip(*seen)
+    assert set(plots) == {'brief', 'scoop'} and set(other) == {True, False}
+    assert np.ptp(rises) > 10.0 and np.ptp(np.hypot(*floor)) > 0.08
+    given = bucket(0.1, 0.3, True)
+    assert 'ground' not in operator_drive(scene, 'buckets', 3, given)[1]
 
 
 def test_a_large_bucket_does_not_lift_soil_out_of_the_grid():

@@ -76,7 +76,7 @@ enum {
   VR_PAYLOAD,
   VR_HEIGHTS,
   VR_SHAPE = VR_HEIGHTS + FMU_ALONG * FMU_ACROSS, /* the first parameter: lts_soil_tool */
-  VR_TOOL = VR_SHAPE + 7
+  VR_TOOL = VR_SHAPE + sizeof(lts_soil_tool) / sizeof(double)
 };
 enum {
   VR_GROUND = VR_TOOL * FMU_TOOLS,
@@ -189,7 +189,8 @@ static const char *build(component *c) {
   memcpy(m->built, real, N_REAL * sizeof *real);
   for (int k = 0; k < FMU_TOOLS; ++k) {
     const double *shape = of_tool(c, k) + VR_SHAPE;
-    const lts_soil_tool tool = {shape[0], shape[1], shape[2], shape[3], shape[4], shape[5], shape[6]};
+    lts_soil_tool tool;
+    memcpy(&tool, shape, sizeof tool);
     const size_t size = lts_soil_size(&FMU_MODEL, &tool, t);
     if (!size) return say(c, k, LTS_ERROR_VALUE);
     m->memory[k] = c->call.allocateMemory(1, size);

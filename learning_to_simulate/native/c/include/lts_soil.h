@@ -50,6 +50,8 @@ typedef struct {
   double width, radius;          /* across the way; of the lower edge, or of the rim between grousers; m */
   double length, bucket, plates; /* of a blade: height of the outline, m; 1 of a shell that is open to the front; 1
                                   * where its ends are closed */
+  double floor_deg, floor_share; /* of a bucket: by how much its underside rises behind the edge, degrees (7 is
+                                  * usual); length of that over the height (0.6) */
   double lugs, lug_height;       /* of a wheel: number and height (m) of its grousers */
 } lts_soil_tool;
 

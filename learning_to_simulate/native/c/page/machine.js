@@ -82,7 +82,7 @@ class Machine {
     const along = turned(this.planned.slice(3), [0, 0, 1]), now = turned(pose.slice(3), [0, 0, 1]), way = add(pose.slice(0, 3), this.planned.slice(0, 3), -1);
     const isAside = Math.abs(dot(way, unit([along[0], 0, along[2]]))) > 1e-4 || dot(unit(along), unit(now)) < 1 - 1e-8;
     if (!isAside) return;
-    const low = this.pose[1] - this.tool[1] - this.tool[6], half = this.tool[0] / 2;
+    const low = this.pose[1] - this.tool[1] - this.tool[8], half = this.tool[0] / 2;
     for (let a = -1; a <= 1; a += 0.25) for (let b = -1; b <= 1; b += 0.25) {
       const side = turned(this.pose.slice(3), [0, 0, a * half]), x = this.pose[0] + side[0] + b * this.tool[1], z = this.pose[2] + side[2];
       if (this.level(x, z) > low - 0.01) return;

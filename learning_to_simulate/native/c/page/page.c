@@ -22,8 +22,8 @@ static char words[256];
 static double rate, slow; /* m/s, up, of a tool that is free in height; what its motion is damped to */
 
 double *EXPORT(page_pose)(void) { return pose; }
-/* What `page_make` reads: width, radius, length, bucket, plates, lugs, lug height of the tool; cells (2), corner (2),
- * sides (2), walls, floor, friction angle, density and gravity of the terrain. */
+/* What `page_make` reads: width, radius, length, bucket, plates, rise and share of the floor, lugs, lug height of
+ * the tool; cells (2), corner (2), sides (2), walls, floor, friction angle, density and gravity of the terrain. */
 double *EXPORT(page_numbers)(void) { return numbers; }
 double *EXPORT(page_heights)(void) { return ground.heights; }
 double *EXPORT(page_force)(void) { return result.force; }
@@ -52,18 +52,18 @@ int EXPORT(page_make)(void) {
   free(ground.heights);
   memset(&ground, 0, sizeof ground);
   const double *v = numbers;
-  const lts_soil_tool given = {v[0], v[1], v[2], v[3], v[4], v[5], v[6]};
-  tool = given;
+  memcpy(&tool, v, sizeof tool);
+  v += sizeof tool / sizeof *v;
   for (int i = 0; i < 2; ++i) {
-    ground.n[i] = (int32_t)v[7 + i];
-    ground.corner[i] = v[9 + i];
-    ground.cell[i] = v[11 + i];
+    ground.n[i] = (int32_t)v[i];
+    ground.corner[i] = v[2 + i];
+    ground.cell[i] = v[4 + i];
   }
-  ground.walled = v[13] != 0.0;
-  ground.floor = v[14];
-  ground.friction_angle_deg = v[15];
-  ground.density = v[16];
-  ground.gravity = v[17];
+  ground.walled = v[6] != 0.0;
+  ground.floor = v[7];
+  ground.friction_angle_deg = v[8];
+  ground.density = v[9];
+  ground.gravity = v[10];
   ground.heights = calloc((size_t)ground.n[0] * (size_t)ground.n[1], sizeof(double));
   const size_t size = lts_soil_size(&LTS_MODEL, &tool, &ground);
   memory = size ? malloc(size) : NULL;

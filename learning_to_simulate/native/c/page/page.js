@@ -2,8 +2,8 @@
 const $ = (id) => document.getElementById(id);
 const isWheel = config.kind === 'wheel';
 const TOOLS = isWheel
-  ? { 'Wheel with grousers': [0.125, 0.15, 0, 0, 0, 16, 0.012], 'Smooth wheel': [0.125, 0.15, 0, 0, 0, 0, 0] }
-  : { Blade: config.tool, Bucket: [0.426, 0.004, 0.353, 1, 1, 0, 0] };
+  ? { 'Wheel with grousers': [0.125, 0.15, 0, 0, 0, 0, 0, 16, 0.012], 'Smooth wheel': [0.125, 0.15, 0, 0, 0, 0, 0, 0, 0] }
+  : { Blade: config.tool, Bucket: [0.426, 0.004, 0.353, 1, 1, 8.7, 0.62, 0, 0] };
 const PRESETS = isWheel ? WHEEL_PRESETS : BLADE_PRESETS;
 const CELL = 0.02, REACH = isWheel ? 6 * 0.15 : 1.4;  // m: of the terrain; of what is seen of it
 const RANGE = isWheel ? 0.016 : 0.04;  // m of the last colour

@@ -72,24 +72,33 @@ class Solid {
   }
 }
 
-// Outline of the buckets that were taught, for a height of 0.353 m: the inside, from the lip backwards and up.
-const INSIDE = [[-0.002, 0.007], [0.213, 0.057], [0.264, 0.083], [0.3, 0.126], [0.315, 0.18], [0.308, 0.236], [0.279, 0.285], [0.233, 0.317], [0.178, 0.329]];
-const inBucket = (length, radius) => ([x, y]) => [x * length / 0.353, y * length / 0.353 - radius];
+// A bucket of a height, and of a rise and a share of its underside: outside and inside, from the lip backwards and up.
+function bucketOutline([, radius, length, , , riseDeg, share]) {
+  const shell = 0.024, floor = Math.sqrt(Math.max((share * length) ** 2 - shell ** 2, 0));
+  const slope = riseDeg * Math.PI / 180 + Math.atan2(shell, floor), s = Math.sin(slope), c = Math.cos(slope);
+  const back = Math.max(length - shell - floor * s, 0) / (1 + c), outer = [[0, -radius]], inner = [[-0.3 * shell * s, 0.3 * shell * c - radius]];
+  for (let k = 0; k < 8; k++) {
+    const turn = slope - Math.PI / 2 + k / 7 * 165 / 180 * Math.PI;
+    for (const [ring, r] of [[outer, back + shell], [inner, back]]) ring.push([floor * c - back * s + r * Math.cos(turn), floor * s + back * c + r * Math.sin(turn) - radius]);
+  }
+  return [outer, inner];
+}
 
 // Soil of a volume in a bucket, in its own axes: on its floor, below a line from the lip to the back.
-function payloadSolid([width, radius, length], volume) {
-  const solid = new Solid(), low = INSIDE.slice(0, 6), end = low[5];
+function payloadSolid(numbers, volume) {
+  const solid = new Solid(), width = numbers[0], low = bucketOutline(numbers)[1].slice(0, 6), end = low[5];
   const top = low.map(([x]) => low[0][1] + (x - low[0][0]) / (end[0] - low[0][0]) * (end[1] - low[0][1]));
   let area = 0;
   for (let k = 0; k < 5; k++) area += (low[k + 1][0] - low[k][0]) * (top[k] + top[k + 1] - low[k][1] - low[k + 1][1]) / 2;
-  const full = Math.min(1, volume / (width * area * (length / 0.353) ** 2)), at = inBucket(length, radius);
-  const over = low.map(([x, y], k) => [x, y + full * (top[k] - y)]).map(at), under = low.map(at);
-  for (let k = 0; k < 5; k++) solid.prism([under[k], under[k + 1], over[k + 1], over[k]], -0.49 * width, 0.49 * width, [0.74, 0.62, 0.46]);
+  const full = Math.min(1, volume / (width * area));
+  const over = low.map(([x, y], k) => [x, y + full * (top[k] - y)]);
+  for (let k = 0; k < 5; k++) solid.prism([low[k], low[k + 1], over[k + 1], over[k]], -0.49 * width, 0.49 * width, [0.74, 0.62, 0.46]);
   return solid;
 }
 
-// A tool [width, radius, length, bucket, plates, lugs, lug height] in its own axes: it looks along -x.
-function toolSolid(kind, [width, radius, length, bucket, plates, lugs, lug]) {
+// A tool [width, radius, length, bucket, plates, rise and share of the floor, lugs, lug height] in its own axes: it looks along -x.
+function toolSolid(kind, numbers) {
+  const [width, radius, length, bucket, plates, , , lugs, lug] = numbers;
   const solid = new Solid(), steel = [0.55, 0.57, 0.6], dark = [0.25, 0.26, 0.28], paint = [0.84, 0.55, 0.16], half = width / 2;
   if (kind === 'wheel') {
     solid.ring(radius * 0.86, radius, -half, half, steel);
@@ -109,11 +118,9 @@ function toolSolid(kind, [width, radius, length, bucket, plates, lugs, lug]) {
   const rounded = [];
   for (let k = 0; k <= 8; k++) rounded.push([radius * Math.cos(Math.PI + Math.PI * k / 8), radius * Math.sin(Math.PI + Math.PI * k / 8)]);
   if (bucket) {
-    const at = inBucket(length, radius);
-    const outer = [[0, 0], [0.22, 0.034], [0.279, 0.064], [0.321, 0.115], [0.339, 0.178], [0.331, 0.244], [0.297, 0.301], [0.243, 0.339], [0.178, 0.353]].map(at);
-    const inner = INSIDE.map(at);
+    const [outer, inner] = bucketOutline(numbers);
     for (let k = 0; k < 8; k++) solid.prism([inner[k], outer[k], outer[k + 1], inner[k + 1]], -half, half, k ? paint : steel);
-    const lip = at([0.178, 0.353]);
+    const lip = outer[8];
     if (plates) for (const z of [-half, half - 0.008]) for (let k = 0; k < 8; k++) solid.prism([lip, outer[k], outer[k + 1]], z, z + 0.008, steel);
     solid.box([lip[0] - 0.01, lip[1] - 0.02, -half * 0.4], [lip[0] + 0.06, lip[1] + 0.05, half * 0.4], dark);
     return solid;

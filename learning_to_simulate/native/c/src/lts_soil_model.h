@@ -88,7 +88,7 @@ struct lts_soil_model {
   int32_t n_column, n_beside;
   double beside_width, across[5]; /* across: where a strip is read, in its widths */
   /* Tool and soil, see `tools.py`. */
-  double taught_widths[2], rim, bucket_edge, floor_angle, floor_share, floor_falls, curl, lean_length;
+  double taught_widths[2], rim, bucket_edge, floor_deg, floor_share, floor_falls, curl, lean_length;
   double standard_density, standard_gravity;
   /* Passage. */
   double ahead, below_tool, even, max_step, set_down, factor[2]; /* factor: of (20) */
@@ -97,7 +97,7 @@ struct lts_soil_model {
    * way of a passage. */
   double lifted, under, turned_back, strikes, backs, renewed_after;
   /* Payload, see `payload.py`. */
-  double shell, back_height, back_reach, inside[20], slips, slips_out, taken[2], curled[2];
+  double shell, arc, slips, slips_out, taken[2], curled[2];
   double taken_along[6], taken_across[5], falls_ahead, falls_apart;
   /* Terrain: of soil that slides. */
   int32_t slides, unused_slides;

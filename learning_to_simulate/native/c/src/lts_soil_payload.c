@@ -4,7 +4,7 @@
 
 #include "lts_soil_internal.h"
 
-#define INSIDE 10 /* corners of the inside of a bucket */
+#define INSIDE 10 /* corners of the inside of a bucket, see `payload.Shape` */
 #define MOST 40 /* corners of a polygon that two lines have cut */
 
 /* The part of a polygon below the line through a point that falls by `fall` per way; how many corners it has. */
@@ -25,12 +25,39 @@ static int cut(const double (*points)[2], int n, const double through[2], double
   return kept;
 }
 
-static double radius_of(const lts_soil *soil) {
-  return fmax(soil->tool.length / soil->scale - soil->model->shell, 0.0) / soil->model->back_height;
+/* Length of the floor inside, and its slope. */
+static double floor_of(const lts_soil *soil, double *slope) {
+  const double height = soil->tool.length / soil->scale, shell = soil->model->shell;
+  const double under = soil->tool.floor_share * height;
+  const double floor = sqrt(fmax(under * under - shell * shell, 0.0));
+  *slope = soil->tool.floor_deg * LTS_PI / 180.0 + atan2(shell, floor);
+  return floor;
+}
+
+/* Twin of `payload.Shape.inside`. */
+static void find_inside(const lts_soil *soil, double points[INSIDE][2]) {
+  double slope;
+  const double floor = floor_of(soil, &slope), sine = sin(slope), cosine = cos(slope);
+  const double rest = soil->tool.length / soil->scale - soil->model->shell - floor * sine;
+  const double radius = fmax(rest, 0.0) / (1.0 + cosine);
+  points[0][0] = points[0][1] = 0.0;
+  for (int i = 0; i < INSIDE - 2; ++i) {
+    const double turn = slope - 0.5 * LTS_PI + soil->model->arc * i / (INSIDE - 3);
+    points[i + 1][0] = -(floor * cosine + radius * (cos(turn) - sine));
+    points[i + 1][1] = floor * sine + radius * (sin(turn) + cosine);
+  }
+  const double *rim = points[INSIDE - 2];
+  points[INSIDE - 1][0] = rim[0] / 2.0 + rim[1];
+  points[INSIDE - 1][1] = rim[1] / 2.0 - rim[0];
 }
 
 /* How far a bucket reaches behind its edge. */
-static double inside_of(const lts_soil *soil) { return soil->model->back_reach * radius_of(soil); }
+static double inside_of(const lts_soil *soil) {
+  double points[INSIDE][2], behind = 0.0;
+  find_inside(soil, points);
+  for (int i = 0; i < INSIDE; ++i) behind = fmin(behind, points[i][0]);
+  return -behind;
+}
 
 static double lean_of(const lts_passage *p) { return p->s.pose[2] + atan(p->s.place.grade); }
 
@@ -44,10 +71,13 @@ static lts_room room_of(const lts_soil *soil, const lts_passage *p) {
   double points[INSIDE][2], once[MOST][2], below[MOST][2], twice = 0.0, moment = 0.0;
   lts_room room = {0.0, 0.0, 0.0};
   if (m->kind != LTS_SOIL_BLADE || soil->tool.bucket == 0.0 || !soil->writes) return room;
-  const double lean = lean_of(p), size = radius_of(soil);
+  const double lean = lean_of(p);
+  double slope;
+  floor_of(soil, &slope);
+  find_inside(soil, points);
   const double sine = sin(lean), cosine = cos(lean), friction = tan(soil->terrain->friction_angle_deg * LTS_PI / 180.0);
   for (int i = 0; i < INSIDE; ++i) {
-    const double u = size * m->inside[2 * i], y = size * m->inside[2 * i + 1];
+    const double u = points[i][0], y = points[i][1];
     points[i][0] = cosine * u - sine * y;
     points[i][1] = sine * u + cosine * y;
   }
@@ -60,7 +90,7 @@ static lts_room room_of(const lts_soil *soil, const lts_passage *p) {
     moment += sides * (a[0] + b[0]);
   }
   if (twice != 0.0) room.middle = moment / twice / 3.0;
-  room.holds = fmin(fmax((lean - m->slips) / m->slips_out + 1.0, 0.0), 1.0);
+  room.holds = fmin(fmax((m->slips - (slope - lean)) / m->slips_out + 1.0, 0.0), 1.0);
   room.area = room.holds * fabs(twice) / 2.0;
   return room;
 }
@@ -107,7 +137,9 @@ static double scooped(lts_soil *soil, const lts_passage *p, double room) {
     sum += fmax((double)risen[k] + cut_at(soil, p, at[0]), 0.0);
   }
   const double *taken = soil->model->taken, *curled = soil->model->curled;
-  const double curl = fmin(fmax((lean_of(p) - curled[0]) / (curled[1] - curled[0]), 0.0), 1.0);
+  double slope;
+  floor_of(soil, &slope);
+  const double curl = fmin(fmax((lean_of(p) - slope - curled[0]) / (curled[1] - curled[0]), 0.0), 1.0);
   const double kept = taken[0] + (taken[1] - taken[0]) * curl;
   return fmin(fmax(room - p->s.payload, 0.0), kept * over.inside * sum / (N_ALONG * N_ACROSS));
 }

@@ -23,7 +23,8 @@ static int is_tool(const lts_soil_model *m, const lts_soil_tool *t) {
     return t->lugs >= 0.0 && isfinite(t->lugs) && t->lug_height >= 0.0 && isfinite(t->lug_height);
   }
   return is_positive(t->length) && (t->bucket == 0.0 || t->bucket == 1.0) &&
-         (t->plates == 0.0 || t->plates == 1.0);
+         (t->plates == 0.0 || t->plates == 1.0) &&
+         (t->bucket == 0.0 || (fabs(t->floor_deg) < 90.0 && is_positive(t->floor_share)));
 }
 
 static double scale_of(const lts_soil_model *m, const lts_soil_tool *t) {
@@ -120,8 +121,10 @@ static void fit_tool(lts_soil *soil) {
   const double weight = ground->density * ground->gravity / (m->standard_density * m->standard_gravity);
   const double edge = t->radius / s + m->bucket_edge * t->bucket;
   const double stress = log(weight * s);
-  const double blade[] = {t->width / 2.0 / s, friction, t->radius / s, t->length / s,
-                          t->bucket,          t->plates, edge,         stress};
+  const double rise = t->bucket != 0.0 ? t->floor_deg : m->floor_deg;
+  const double share = t->bucket != 0.0 ? t->floor_share : m->floor_share;
+  const double blade[] = {t->width / 2.0 / s, friction,      t->radius / s, t->length / s, t->bucket,
+                          t->plates,          rise * degree, share,         edge,          stress};
   const double wheel[] = {t->width / 2.0 / s, friction, m->rim, t->lugs, t->lug_height / s, stress};
   for (int i = 0; i < m->n_own; ++i) {
     soil->own[i] = (float)(m->kind == LTS_SOIL_WHEEL ? wheel : blade)[i];

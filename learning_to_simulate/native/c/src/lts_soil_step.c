@@ -116,7 +116,7 @@ static void find_conditions(const lts_soil *soil, const lts_passage *p, const lt
   found[10] = is_blade ? (soil->tool.bucket != 0.0 ? soil->model->curl - p->s.pose[2] : p->s.pose[2]) : 0.0;
   found[11] = fmax(soil->model->wall_beside - beside / soil->scale, 0.0);
   found[12] = 0.0;
-  if (!is_blade || soil->tool.bucket == 0.0 || soil->model->floor_angle - p->s.pose[2] >= 0.0) return;
+  if (!is_blade || soil->tool.bucket == 0.0 || soil->tool.floor_deg * LTS_PI / 180.0 - p->s.pose[2] >= 0.0) return;
   for (int j = 0; j < p->s.n_strip; ++j) {
     found[12] = fmax(found[12], (double)soil->scalars[j][LTS_SOIL_OF_PASSAGE(soil->model, PRESSED)]);
   }

@@ -126,8 +126,8 @@ static void find_pressed(const lts_soil *soil, const lts_passage *p, double foun
   if (m->kind != LTS_SOIL_BLADE) return;
   const double right = 0.5 * LTS_PI; /* `Blade.back` */
   const double least = is_bucket ? m->floor_falls : 0.0;
-  const double angle = fmin(fmax((is_bucket ? m->floor_angle : right) - p->s.pose[2], least), right);
-  const double length = fmax((is_bucket ? m->floor_share : 1.0) * tool->length - 2.0 * tool->radius, 0.0);
+  const double angle = fmin(fmax((is_bucket ? tool->floor_deg * LTS_PI / 180.0 : right) - p->s.pose[2], least), right);
+  const double length = fmax((is_bucket ? tool->floor_share : 1.0) * tool->length - 2.0 * tool->radius, 0.0);
   const double sine = sin(angle), cosine = cos(angle), du = m->spacing, last = length / soil->scale * cosine;
   const double rises = sine / fmax(cosine, 1e-9), slope = fabs(rises) > 1e-6 ? rises : 1e-6;
   const double from = p->s.pose[0] - p->s.origin - soil->radius * sine; /* where it leaves the circle */
