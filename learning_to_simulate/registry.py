@@ -65,6 +65,7 @@ class TrainOptions:
     save_every: int | None = None  # see `steps_between_saves`
     raw_path: str | None = None  # raw runs, for models on particles; None to decode the records
     initial_weights: str | None = None  # folder of a soil field that another one starts from
+    num_processes: int = 1  # that make the samples of a soil field
 
     def steps_between_saves(self, num_steps: int) -> int:
         """Steps between checkpoints of a training of `num_steps`: `save_every`, else a tenth of

@@ -29,6 +29,8 @@ Settings that are not given take the preset's value; in the other modes they are
 model, and one that contradicts them is refused.
 """
 
+import os
+
 import tqdm
 from absl import flags
 
@@ -66,6 +68,12 @@ _SAVE_EVERY = flags.DEFINE_integer(
 )
 _INITIAL_WEIGHTS = flags.DEFINE_string(
     'initial_weights', None, 'Soil field (folder, or a shipped one) that a soil field starts from.'
+)
+_NUM_PROCESSES = flags.DEFINE_integer(
+    'num_processes',
+    min(os.cpu_count() or 1, 8),
+    'Processes that make the samples of a soil field.',
+    1,
 )
 flags.DEFINE_integer('num_threads', None, 'CPU threads of TensorFlow; default: its own choice.', 1)
 
@@ -177,6 +185,7 @@ def run(values) -> None:
             config,
             rigid_motion=_RIGID_MOTION.value,
             save_every=_SAVE_EVERY.value,
+            num_processes=_NUM_PROCESSES.value,
             raw_path=_RAW_PATH.value,
             initial_weights=first and shipped.find(first, 'models'),
         )

@@ -67,7 +67,8 @@ def train(data_path, model_path, config, options) -> dict:
             held = None  # runs as they are judge, not copies of them
             if first and valid:
                 held = training.parts_of(made, valid, _bar('valid'), copies=False)
-            pools = training.parts_of(made, runs, _bar('samples'))
+            several = options.num_processes
+            pools = training.parts_of(made, runs, _bar('samples'), processes=several)
             events = tf.summary.create_file_writer(model_path)
             with StopSignals() as saved.stop, events.as_default():
                 losses = training.fit(made, pools, saved=saved, held=held)

@@ -11,13 +11,16 @@ import numpy as np
 import tensorflow as tf
 import tqdm
 
+from learning_to_simulate import command
 from learning_to_simulate.soil_field import network, samples
 from learning_to_simulate.soil_field.field import CONDITIONS, SoilField
 from learning_to_simulate.soil_field.runs import Run
 from learning_to_simulate.soil_field.settings import SCHEDULES, SoilFieldConfig
 from learning_to_simulate.soil_field.tools import TOOLS, Blade, Wheel
+from pca_tools import workers
 
 CLIP_NORM = 1.0
+FEW = 32  # runs: the start of a process takes as long as the samples of two
 ROWS = 2048  # that a loss is computed of at a time
 # How much errors of the six components of a load count: a torque by a lever of 0.1 to 0.3 m. The
 # drawbar is what is asked of a wheel, and a fraction of what it bears.
@@ -66,20 +69,24 @@ def make_field(
     return SoilField(config, networks)
 
 
-def parts_of(field: SoilField, runs: list[Run], progress=iter, copies=True) -> dict[str, list]:
+def parts_of(
+    field: SoilField, runs: list[Run], progress=iter, copies=True, processes: int = 1
+) -> dict[str, list]:
     """Name of a network -> samples of runs, joined where they have one shape: loads of uneven
     terrain have five strips, of even terrain one. The field learns their ranges. With `copies`,
-    samples of copies of the runs, too.
+    samples of copies of the runs, too. Those of more than `FEW` runs are made by some processes.
 
     Raises:
       ValueError: no runs.
+      OSError: a process was killed.
     """
     if not runs:
         raise ValueError('no runs to learn from')
     values: list = []
     pools: dict[str, dict] = {name: {} for name in network.NETWORKS}
-    for run in progress(runs):
-        judged, parts = parts_of_run(field, run, copies)
+    sampled = _sampled(field, runs, copies, processes if len(runs) > FEW else 1)
+    for _ in progress(runs):
+        judged, parts = next(sampled)
         values += judged
         for name, part in parts:
             pools[name].setdefault(part.inputs[0].shape[1:], []).append(part)
@@ -89,6 +96,36 @@ def parts_of(field: SoilField, runs: list[Run], progress=iter, copies=True) -> d
         if name not in CONDITIONS:  # no wall is as good as one far away
             field.ranges[name] = [0.0 if name.startswith('wall') else low, high]
     return {name: [_joined(some) for some in pool.values()] for name, pool in pools.items()}
+
+
+def _sampled(field, runs, copies, processes):
+    """`parts_of_run` of all runs, in their order."""
+    if processes == 1:
+        yield from (parts_of_run(field, run, copies) for run in runs)
+        return
+    found: dict[int, tuple] = {}
+    with workers.start(processes=processes) as pool:
+        inputs = [(field.networks.tool.name, run, copies) for run in runs]
+        due = 0
+        for outcome in pool.run(_sampled_alone, inputs):
+            if outcome.error:
+                raise ValueError(f'run {runs[outcome.index].case}: {outcome.error}')
+            found[outcome.index] = outcome.value
+            while due in found:
+                yield found.pop(due)
+                due += 1
+
+
+def _sampled_alone(item):
+    """`parts_of_run` by a process that has one core; no sample depends on what a field knows."""
+    tool_name, run, copies = item
+    return parts_of_run(_field_alone(tool_name), run, copies)
+
+
+@functools.cache
+def _field_alone(tool_name):
+    command.import_tensorflow(1)
+    return make_field(SoilFieldConfig('soil_field', members=1), tool_name)
 
 
 def parts_of_run(field: SoilField, run: Run, copies=True) -> tuple[list, list]:

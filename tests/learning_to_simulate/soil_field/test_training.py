@@ -1,5 +1,6 @@
 """Training on a soil whose law is known: what is learned holds on a path that was not seen."""
 
+import contextlib
 import dataclasses
 import types
 
@@ -9,6 +10,7 @@ import pytest
 from learning_to_simulate.soil_field import samples, training
 from learning_to_simulate.soil_field.place import place_of
 from learning_to_simulate.soil_field.tools import Wheel
+from pca_tools.workers import Outcome
 from tests.learning_to_simulate.soil_field import worlds
 
 
@@ -101,6 +103,25 @@ def test_a_wheel_learns_from_what_it_does_forwards_what_it_does_backwards():
     target = both['load'][0].target
     count = len(target) // 2
     np.testing.assert_allclose(target[count:], target[:count] * [-1, 1, 1, 1, -1, -1], atol=1e-4)
+
+
+def test_samples_made_by_processes_are_those_made_here(monkeypatch):
+    runs = [worlds.run(seed) for seed in (1, 2, 3)]
+    runs[0] = runs[0]._replace(pose=runs[0].pose[:-8], force=runs[0].force[:-8],
+                               torque=runs[0].torque[:-8], particles=None)  # fmt: skip
+    fields = [training.make_field(worlds.CONFIG, 'blade', worlds.SMALL) for _ in range(2)]
+    here = training.parts_of(fields[0], runs)
+    monkeypatch.setattr(training, 'FEW', 2)
+    found = training.parts_of(fields[1], runs, processes=2)
+    assert fields[0].ranges == fields[1].ranges and here.keys() == found.keys()
+    for name, parts in here.items():
+        for one, other in zip(parts, found[name], strict=True):
+            for a, b in zip((*one.inputs, *one[1:]), (*other.inputs, *other[1:]), strict=True):
+                np.testing.assert_array_equal(a, b)
+    one = types.SimpleNamespace(run=lambda function, items: [Outcome(2, None, 'IOError: gone')])
+    monkeypatch.setattr(training.workers, 'start', lambda **how: contextlib.nullcontext(one))
+    with pytest.raises(ValueError, match=f'run {runs[2].case}: IOError: gone'):
+        training.parts_of(fields[1], runs, processes=2)
 
 
 def test_a_training_follows_from_its_seed_and_bad_ones_are_refused():
