@@ -16,7 +16,7 @@ _HOMES = {
     'RolloutStatus': 'rollout_status.RolloutStatus',
     'Terrain': 'soil_field.terrain.Terrain', 'Soil': 'soil_field.tools.Soil',
     'Blade': 'soil_field.tools.Blade', 'Wheel': 'soil_field.tools.Wheel',
-    'LoadedTool': 'soil_field.loaded.LoadedTool',
+    'read_tool': 'soil_field.tools.read_tool', 'LoadedTool': 'soil_field.loaded.LoadedTool',
 }  # fmt: skip
 __all__ = ['__version__', *(name for name in _HOMES if name != 'list')]  # `import *` keeps list
 

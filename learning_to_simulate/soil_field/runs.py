@@ -7,15 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from learning_to_simulate.soil_field.terrain import Terrain
-from learning_to_simulate.soil_field.tools import (
-    FLOOR_DEG,
-    FLOOR_SHARE,
-    STANDARD_GRAVITY,
-    Blade,
-    Soil,
-    Tool,
-    Wheel,
-)
+from learning_to_simulate.soil_field.tools import STANDARD_GRAVITY, Blade, Soil, Tool, tool_as
 from pca_tools import dataset, heights, particles
 
 # The solver's cells make a round edge half a cell blunter (`mpm.verification.ladder`), m.
@@ -124,35 +116,12 @@ class Run(NamedTuple):
 
 
 def tool_of(case: dict) -> Tool:
-    outline = case.get('tool') or {}
+    described = case.get('tool') or {}
     if 'diameter_m' in case:
-        lugs = outline.get('grousers') or {}
-        return Wheel(
-            float(case['body_width_m']), float(case['diameter_m']) / 2,
-            int(lugs.get('count', 0)), float(lugs.get('height', 0.0)),
-        )  # fmt: skip
-    width = float(case.get('blade_width_m', outline.get('width', case['body_width_m'])))
-    if not outline:
-        return Blade(width)
-    height = [y for _, y in outline['outline']]
-    return Blade(
-        width, float(outline['edge_radius']), max(height) - min(height),
-        float(len(height) > 2),  # two points are a plate, all else that was taught is a bucket
-        float('side_plates' in outline), *underside_of(outline),
-    )  # fmt: skip
-
-
-def underside_of(tool: dict) -> tuple[float, float]:
-    """Rise (deg) and length, as a share of the height, of the underside of a tool's outline: of the
-    line from its edge, the origin, to the point behind that by which it rises least. Of what is no
-    bucket the usual ones."""
-    x, y = np.array(tool['outline']).T
-    behind = x > tool['edge_radius']
-    if len(x) == 2 or not behind.any():
-        return FLOOR_DEG, FLOOR_SHARE
-    rise = np.where(behind, np.arctan2(y, x), np.inf)
-    k = int(np.argmin(rise))
-    return float(np.degrees(rise[k])), float(np.hypot(x[k], y[k]) / np.ptp(y))
+        wheel = {'radius': float(case['diameter_m']) / 2, 'width': case['body_width_m']}
+        return tool_as(described | wheel)
+    width = float(case.get('blade_width_m', described.get('width', case['body_width_m'])))
+    return tool_as(described | {'width': width}) if described else Blade(width)
 
 
 def read(folder: str, split: str) -> list[Run]:

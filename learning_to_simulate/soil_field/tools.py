@@ -15,6 +15,7 @@ from typing import ClassVar
 import numpy as np
 
 from learning_to_simulate.soil_field import payload, sweep
+from pca_tools import files
 
 STANDARD_DENSITY, STANDARD_GRAVITY = 1730.61, 9.81
 # By how much a bucket's edge counts as blunter than it is, m of the field: plates were taught with
@@ -252,6 +253,42 @@ class Wheel(Tool):
 
 
 TOOLS = {tool.name: tool for tool in (Blade, Wheel)}
+
+
+def read_tool(path: str) -> Tool:
+    """The tool of a JSON file of `lts new-tool` and the solver (`mpm/README.md`): a plate, a bucket
+    or a wheel.
+
+    Raises:
+      FileNotFoundError: there is no such file.
+      ValueError: it describes no tool.
+    """
+    described = files.read_json(path)
+    try:
+        return tool_as(described)
+    except (ValueError, TypeError, KeyError, AttributeError) as error:
+        raise ValueError(
+            f'{path} is not a tool: {type(error).__name__} {error}; mpm/README.md says what is'
+        ) from error
+
+
+def tool_as(described: dict) -> Tool:
+    """The tool of such a description. Of an outline its underside is the line from its edge, the
+    origin, to the point behind by which it rises least."""
+    width = float(described['width'])
+    if 'radius' in described:
+        lugs = described.get('grousers') or {}
+        lugs = int(lugs.get('count', 0)), float(lugs.get('height', 0.0))
+        return Wheel(width, float(described['radius']), *lugs)
+    radius, (x, y) = float(described['edge_radius']), np.array(described['outline'], float).T
+    plates = float('side_plates' in described)
+    rise = np.where(x > radius, np.arctan2(y, x), np.inf)
+    k = int(np.argmin(rise))
+    # Two points are a plate, all else that was taught is a bucket.
+    shape = width, radius, float(np.ptp(y)), float(len(x) > 2), plates
+    if len(x) == 2 or not np.isfinite(rise[k]):
+        return Blade(*shape)
+    return Blade(*shape, float(np.degrees(rise[k])), float(np.hypot(x[k], y[k]) / np.ptp(y)))
 
 
 def _check(owner, names, must='be positive', is_right=lambda value: 0 < value < np.inf):

@@ -5,7 +5,7 @@ import pytest
 from matplotlib.path import Path
 
 from learning_to_simulate.soil_field import payload
-from learning_to_simulate.soil_field.runs import tool_of
+from learning_to_simulate.soil_field.tools import tool_as
 from mpm.motions import operator_paths
 
 SHAPES = [{}, {'floor': 0.12, 'rise_deg': 30.0}, {'floor': 0.25, 'rise_deg': 5.0}]
@@ -14,7 +14,7 @@ USUAL = payload.Shape(0.25, np.radians(7.0), 0.15)
 
 def shape_of(made):
     """Of a bucket of the solver, through what a field knows of it."""
-    return tool_of({'body_width_m': 0.3, 'tool': made}).shape
+    return tool_as(made).shape
 
 
 @pytest.mark.parametrize('radius', [0.08, 0.15])

@@ -1,10 +1,19 @@
 """Scale, turns and values of tools, and values that none has."""
 
+import json
+
 import numpy as np
 import pytest
 
-from learning_to_simulate.soil_field.runs import tool_of, underside_of
-from learning_to_simulate.soil_field.tools import FLOOR_DEG, FLOOR_SHARE, Blade, Soil, Wheel
+from learning_to_simulate.soil_field.tools import (
+    FLOOR_DEG,
+    FLOOR_SHARE,
+    Blade,
+    Soil,
+    Wheel,
+    read_tool,
+    tool_as,
+)
 from mpm.motions.operator_paths import BUCKET_RADII, bucket
 
 
@@ -66,7 +75,7 @@ def test_the_back_of_a_plate_is_its_middle_line_and_of_a_bucket_its_floor():
         for inner in BUCKET_RADII:
             made = bucket(inner, 0.4, False, **shape)
             floor = np.array(made['outline'])[1]
-            tool = tool_of({'body_width_m': 0.4, 'tool': made})
+            tool = tool_as(made)
             angle, length = tool.back(lean)
             assert angle == pytest.approx(np.arctan2(floor[1], floor[0]) - lean)
             assert length == pytest.approx(np.hypot(*floor) - 0.008)
@@ -76,8 +85,26 @@ def test_the_back_of_a_plate_is_its_middle_line_and_of_a_bucket_its_floor():
     tool = Blade(0.4, bucket=1.0)
     curled = [np.degrees(tool.back(np.radians(lean))[0]) for lean in (20.0, 90.0)]
     assert curled == pytest.approx([-13.0, -60.0])  # its heel is lower than its edge
-    assert underside_of({'outline': [[0.0, 0.0], [0.0, 0.3]], 'edge_radius': 0.01}) == (7.0, 0.6)
-    # A face that leans forward has nothing behind its edge.
-    ahead = {'outline': [[0.0, 0.0], [0.0, 0.3], [-0.1, 0.2]], 'edge_radius': 0.01}
-    assert underside_of(ahead) == (7.0, 0.6)
     assert Blade().back(2.0)[0] == 0.0
+
+
+def test_a_tool_is_read_from_its_file(tmp_path):
+    path = tmp_path / 'tool.json'
+
+    def read(**described):
+        path.write_text(json.dumps(described))
+        return read_tool(str(path))
+
+    plate = {'outline': [[0.0, 0.0], [0.0, 0.3]], 'edge_radius': 0.01, 'width': 0.4}
+    assert read(name='plate', friction=0.3, **plate) == Blade(0.4, 0.01, 0.3)
+    # A face that leans forward has nothing behind its edge.
+    ahead = plate | {'outline': [[0.0, 0.0], [0.0, 0.3], [-0.1, 0.2]]}
+    assert read(**ahead) == Blade(0.4, 0.01, 0.3, 1.0)
+    grousers = {'count': 12, 'height': 0.01, 'thickness': 0.004}
+    assert read(radius=0.15, width=0.12, grousers=grousers) == Wheel(0.12, 0.15, 12, 0.01)
+    made = bucket(0.1, 0.3, True)
+    assert read(**made) == tool_as(made) and read(**made).plates == 1
+    bad = plate | {'outline': [0.0, 1.0]}, {'width': 0.3}, plate | {'width': -1.0}
+    for described in (*bad, {'radius': 'wide', 'width': 1.0}):
+        with pytest.raises(ValueError, match=f'{path} is not a tool: .* mpm/README.md'):
+            read(**described)
