@@ -56,7 +56,7 @@ RUNS = {
 # a soil of its own, because what differs between runs is what a model must learn; and blades that
 # are set down: of the first 15 for training two are heavy and fall.
 MORE = {
-    'excavation': {'brief': 180, 'gravity': 60, 'scoop': 30, 'free': 120, 'buckets': 60},
+    'excavation': {'brief': 180, 'gravity': 60, 'scoop': 30, 'free': 120, 'buckets': 34},
     'wheel': {},
 }
 TEST, VALID = 10, 5  # runs of each kind
