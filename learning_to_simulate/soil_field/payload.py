@@ -5,6 +5,7 @@ backwards from the edge, one that rises forwards from the upper rim. Along the f
 where that is steeper than its friction, (29) of docs/soil_field.md. Lengths are of the field.
 """
 
+import functools
 import math
 from typing import NamedTuple
 
@@ -48,21 +49,26 @@ class Shape(NamedTuple):
     @property
     def inside(self) -> np.ndarray:
         """float64 [10, 2]: places u (along the way) and y of the edge, the back up to the upper
-        rim, and a point far out of the mouth."""
-        sine, cosine = math.sin(self.slope), math.cos(self.slope)
-        # From the height: that of the floor's end, the radius across it, and half a circle.
-        radius = max(self.height - SHELL - self._inner * sine, 0.0) / (1.0 + cosine)
-        turn = self.slope - math.pi / 2 + np.linspace(0.0, ARC, 8)
-        along = self._inner * cosine + radius * (np.cos(turn) - sine)
-        up = self._inner * sine + radius * (np.sin(turn) + cosine)
-        u, y = -along[-1], up[-1]
-        far = u / 2 + y, y / 2 - u
-        return np.stack([[0.0, *-along, far[0]], [0.0, *up, far[1]]], axis=1)
+        rim, and a point far out of the mouth, m of the field; not to be written into."""
+        return _inside(self.height, self.slope, self._inner)
 
     @property
     def reach(self) -> float:
         """How far it reaches behind its edge, m."""
         return -float(self.inside[:, 0].min())
+
+
+@functools.lru_cache  # every frame asks for it
+def _inside(height, slope, floor):
+    sine, cosine = math.sin(slope), math.cos(slope)
+    # From the height: that of the floor's end, the radius across it, and half a circle.
+    radius = max(height - SHELL - floor * sine, 0.0) / (1.0 + cosine)
+    turn = slope - math.pi / 2 + np.linspace(0.0, ARC, 8)
+    along = floor * cosine + radius * (np.cos(turn) - sine)
+    up = floor * sine + radius * (np.sin(turn) + cosine)
+    u, y = -along[-1], up[-1]
+    far = u / 2 + y, y / 2 - u
+    return np.stack([[0.0, *-along, far[0]], [0.0, *up, far[1]]], axis=1)
 
 
 class Room(NamedTuple):

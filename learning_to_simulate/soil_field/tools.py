@@ -257,7 +257,7 @@ TOOLS = {tool.name: tool for tool in (Blade, Wheel)}
 
 def read_tool(path: str) -> Tool:
     """The tool of a JSON file of `lts new-tool` and the solver (`mpm/README.md`): a plate, a bucket
-    or a wheel.
+    or a wheel, lengths in m. What a model has no input for, such as its friction, is passed over.
 
     Raises:
       FileNotFoundError: there is no such file.

@@ -72,8 +72,11 @@ TRENCH = (1.2, 1.5)  # m
 LAYERS = 0.003, 0.038  # m, of the edge above the bed
 LEAST_SPREAD_FRAMES, LEAST_BACKDRAG = 40, 0.12  # m
 # Of the other kinds: the scene's own, or `_trench`'s.
-FRAMES = {'spread': 220, 'backdrag': 290, 'brief': 110, 'gravity': 110, 'scoop': 400, 'plunge': 140}
-BUCKETS_FRAMES, SCOOPS_SHARE = {'brief': 150, 'scoop': 300}, 0.6  # of `buckets`, by plot
+FRAMES = {
+    'spread': 220, 'backdrag': 290, 'brief': 110, 'gravity': 110, 'scoop': 400, 'plunge': 140,
+    'buckets': 150,
+}  # fmt: skip
+SCOOPS_SHARE, SCOOPS_FRAMES = 0.6, 300  # of `buckets`; the share of those that are tried
 # Of drawn tools.
 WIDTHS = (0.15, 0.60)  # m
 BRIEF_WIDTHS = (0.15, 0.40)  # m, in a bin that is half as wide
@@ -155,7 +158,7 @@ def operator_drive(
         lambda: _draw(rng, scene, kind, tool, leans), scene.bin, f'{kind!r}, seed {seed}',
         lambda *drawn: _is_fine(scene.bin, *drawn),
     )  # fmt: skip
-    if kind not in ('trench', 'buckets', *FRAMES):  # as long as any run
+    if kind != 'trench' and kind not in FRAMES:  # as long as any run
         del drawn['frames']
     return drive, parameters | drawn
 
@@ -219,8 +222,9 @@ def _draw(rng, scene, kind, tool, bucket_leans) -> tuple[Drive, dict]:
         lead_in, move = _earlier_pass(rng, story)
         moves.append(move)
     begin, seconds = story.time, scenes.DURATION
-    if kind in (*FRAMES, 'buckets'):
-        seconds = (BUCKETS_FRAMES if kind == 'buckets' else FRAMES)[plot] / scenes.FRAME_RATE
+    if kind in FRAMES:
+        is_short_scoop = (kind, plot) == ('buckets', 'scoop')
+        seconds = (SCOOPS_FRAMES if is_short_scoop else FRAMES[kind]) / scenes.FRAME_RATE
     PLOTS[plot](rng, story, begin + seconds)
     if kind == 'trench':
         seconds = story.time
@@ -508,14 +512,9 @@ def _draw_tool(rng, widths) -> dict:
 def _draw_bucket(rng) -> dict:
     """A bucket of a shape of its own."""
     width, has_plates = rng.uniform(*BRIEF_WIDTHS), rng.random() < 0.7
-
-    def draw():
-        radius, floor = rng.uniform(*BACKS), rng.uniform(*FLOORS)
-        rise, arc = rng.uniform(*RISES), rng.uniform(*ARCS)
-        return bucket(radius, width, has_plates, floor, rise, arc)
-
     while True:
-        tool = draw()
+        radius, *shape = (rng.uniform(*limits) for limits in (BACKS, FLOORS, RISES, ARCS))
+        tool = bucket(radius, width, has_plates, *shape)
         height = max(y for _, y in tool['outline'])
         is_usual = BUCKET_HEIGHTS[0] <= height <= BUCKET_HEIGHTS[1]
         if is_usual and UNDERSIDES[0] <= underside(tool) <= UNDERSIDES[1]:

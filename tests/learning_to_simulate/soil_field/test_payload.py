@@ -12,16 +12,11 @@ SHAPES = [{}, {'floor': 0.12, 'rise_deg': 30.0}, {'floor': 0.25, 'rise_deg': 5.0
 USUAL = payload.Shape(0.25, np.radians(7.0), 0.15)
 
 
-def shape_of(made):
-    """Of a bucket of the solver, through what a field knows of it."""
-    return tool_as(made).shape
-
-
 @pytest.mark.parametrize('radius', [0.08, 0.15])
 @pytest.mark.parametrize('given', SHAPES)
 def test_the_inside_is_that_of_the_bucket_of_the_solver(radius, given):
     made = operator_paths.bucket(radius, 0.3, False, **given)
-    shape, outline = shape_of(made), np.array(made['outline']) * [-1.0, 1.0]
+    shape, outline = tool_as(made).shape, np.array(made['outline']) * [-1.0, 1.0]
     inner = np.concatenate([outline[:1], outline[9:-1][::-1]])  # edge and inside, up to its rim
     near = 0.005 if given else 2e-5  # the highest corner of an arc may lie lower than the arc
     np.testing.assert_allclose(inner, shape.inside[:-1], atol=near)
@@ -32,7 +27,8 @@ def test_the_inside_is_that_of_the_bucket_of_the_solver(radius, given):
 @pytest.mark.parametrize('lean', [-0.03, 0.3, 0.9, 1.5])
 @pytest.mark.parametrize('friction', [0.5, 0.9])
 def test_room_and_its_middle_are_those_of_points_below_both_slopes(lean, friction, given):
-    shape, rng = shape_of(operator_paths.bucket(0.1, 0.3, False, **given)), np.random.default_rng(0)
+    made, rng = operator_paths.bucket(0.1, 0.3, False, **given), np.random.default_rng(0)
+    shape = tool_as(made).shape
     turn = np.array([[np.cos(lean), np.sin(lean)], [-np.sin(lean), np.cos(lean)]])
     corners = shape.inside @ turn
     low, high = corners.min(axis=0), corners.max(axis=0)

@@ -14,7 +14,7 @@ from learning_to_simulate.soil_field.tools import (
     read_tool,
     tool_as,
 )
-from mpm.motions.operator_paths import BUCKET_RADII, bucket
+from mpm.motions.operator_paths import BUCKET_RADII, bucket, underside
 
 
 def test_a_blade_as_wide_as_those_taught_is_its_own_scale():
@@ -76,6 +76,7 @@ def test_the_back_of_a_plate_is_its_middle_line_and_of_a_bucket_its_floor():
             made = bucket(inner, 0.4, False, **shape)
             floor = np.array(made['outline'])[1]
             tool = tool_as(made)
+            assert tool.floor_deg == pytest.approx(underside(made))  # as the solver draws paths
             angle, length = tool.back(lean)
             assert angle == pytest.approx(np.arctan2(floor[1], floor[0]) - lean)
             assert length == pytest.approx(np.hypot(*floor) - 0.008)

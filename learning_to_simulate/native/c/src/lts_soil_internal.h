@@ -8,6 +8,7 @@
 
 #define LTS_SOIL_ROWS 5
 #define LTS_SOIL_OF_STRIP 5
+#define LTS_SOIL_INSIDE 10 /* corners of the inside of a bucket */
 #define LTS_SOIL_LANES 48 /* places that go through a network at once: they stay in the first cache */
 
 /* The vertical plane of a passage: origin, and level unit vectors, x and z of each; m; rise of its ground per way,
@@ -77,6 +78,7 @@ struct lts_soil {
   double scale, width, radius, time, units[6]; /* width and radius in lengths of the field; time: s of the field */
   float own[LTS_SOIL_SCALARS];                 /* scalars of the tool */
   double centres[LTS_SOIL_STRIPS], widths[LTS_SOIL_STRIPS];
+  double inside[LTS_SOIL_INSIDE][2], inner_slope, reach; /* of a bucket, see `payload.Shape` */
   /* State. */
   int32_t started, writes, now, frame; /* writes: whether the tool moves the terrain */
   lts_pose pose;
@@ -210,6 +212,7 @@ void lts_soil_find(lts_soil *soil, const lts_passage *p, int is_surface, size_t 
 typedef struct {
   double area, weighs, middle, replaces;
 } lts_held;
+void lts_soil_fit_bucket(lts_soil *soil);
 lts_held lts_soil_held(lts_soil *soil, const lts_passage *p);
 /* What it takes up where it leaves the soil now. */
 double lts_soil_scooped(lts_soil *soil, const lts_passage *p);

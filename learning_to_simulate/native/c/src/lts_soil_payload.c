@@ -4,7 +4,6 @@
 
 #include "lts_soil_internal.h"
 
-#define INSIDE 10 /* corners of the inside of a bucket, see `payload.Shape` */
 #define MOST 40 /* corners of a polygon that two lines have cut */
 
 /* The part of a polygon below the line through a point that falls by `fall` per way; how many corners it has. */
@@ -25,38 +24,25 @@ static int cut(const double (*points)[2], int n, const double through[2], double
   return kept;
 }
 
-/* Length of the floor inside, and its slope. */
-static double floor_of(const lts_soil *soil, double *slope) {
+/* Twin of `payload.Shape`. */
+void lts_soil_fit_bucket(lts_soil *soil) {
+  enum { N = LTS_SOIL_INSIDE };
   const double height = soil->tool.length / soil->scale, shell = soil->model->shell;
   const double under = soil->tool.floor_share * height;
   const double floor = sqrt(fmax(under * under - shell * shell, 0.0));
-  *slope = soil->tool.floor_deg * LTS_PI / 180.0 + atan2(shell, floor);
-  return floor;
-}
-
-/* Twin of `payload.Shape.inside`. */
-static void find_inside(const lts_soil *soil, double points[INSIDE][2]) {
-  double slope;
-  const double floor = floor_of(soil, &slope), sine = sin(slope), cosine = cos(slope);
-  const double rest = soil->tool.length / soil->scale - soil->model->shell - floor * sine;
-  const double radius = fmax(rest, 0.0) / (1.0 + cosine);
-  points[0][0] = points[0][1] = 0.0;
-  for (int i = 0; i < INSIDE - 2; ++i) {
-    const double turn = slope - 0.5 * LTS_PI + soil->model->arc * i / (INSIDE - 3);
-    points[i + 1][0] = -(floor * cosine + radius * (cos(turn) - sine));
-    points[i + 1][1] = floor * sine + radius * (sin(turn) + cosine);
+  const double slope = soil->tool.floor_deg * LTS_PI / 180.0 + atan2(shell, floor);
+  const double sine = sin(slope), cosine = cos(slope);
+  const double radius = fmax(height - shell - floor * sine, 0.0) / (1.0 + cosine);
+  soil->inner_slope = slope;
+  for (int i = 0; i < N - 2; ++i) {
+    const double turn = slope - 0.5 * LTS_PI + soil->model->arc * i / (N - 3);
+    soil->inside[i + 1][0] = -(floor * cosine + radius * (cos(turn) - sine));
+    soil->inside[i + 1][1] = floor * sine + radius * (sin(turn) + cosine);
+    soil->reach = fmax(soil->reach, -soil->inside[i + 1][0]);
   }
-  const double *rim = points[INSIDE - 2];
-  points[INSIDE - 1][0] = rim[0] / 2.0 + rim[1];
-  points[INSIDE - 1][1] = rim[1] / 2.0 - rim[0];
-}
-
-/* How far a bucket reaches behind its edge. */
-static double inside_of(const lts_soil *soil) {
-  double points[INSIDE][2], behind = 0.0;
-  find_inside(soil, points);
-  for (int i = 0; i < INSIDE; ++i) behind = fmin(behind, points[i][0]);
-  return -behind;
+  const double *rim = soil->inside[N - 2];
+  soil->inside[N - 1][0] = rim[0] / 2.0 + rim[1];
+  soil->inside[N - 1][1] = rim[1] / 2.0 - rim[0];
 }
 
 static double lean_of(const lts_passage *p) { return p->s.pose[2] + atan(p->s.place.grade); }
@@ -68,21 +54,18 @@ typedef struct {
 
 static lts_room room_of(const lts_soil *soil, const lts_passage *p) {
   const lts_soil_model *m = soil->model;
-  double points[INSIDE][2], once[MOST][2], below[MOST][2], twice = 0.0, moment = 0.0;
+  double points[LTS_SOIL_INSIDE][2], once[MOST][2], below[MOST][2], twice = 0.0, moment = 0.0;
   lts_room room = {0.0, 0.0, 0.0};
   if (m->kind != LTS_SOIL_BLADE || soil->tool.bucket == 0.0 || !soil->writes) return room;
   const double lean = lean_of(p);
-  double slope;
-  floor_of(soil, &slope);
-  find_inside(soil, points);
   const double sine = sin(lean), cosine = cos(lean), friction = tan(soil->terrain->friction_angle_deg * LTS_PI / 180.0);
-  for (int i = 0; i < INSIDE; ++i) {
-    const double u = points[i][0], y = points[i][1];
+  for (int i = 0; i < LTS_SOIL_INSIDE; ++i) {
+    const double u = soil->inside[i][0], y = soil->inside[i][1];
     points[i][0] = cosine * u - sine * y;
     points[i][1] = sine * u + cosine * y;
   }
-  const double *rim = points[INSIDE - 2], way = rim[0] > points[0][0] ? 1.0 : -1.0;
-  int n = cut((const double (*)[2])points, INSIDE, points[0], -way * friction, once);
+  const double *rim = points[LTS_SOIL_INSIDE - 2], way = rim[0] > points[0][0] ? 1.0 : -1.0;
+  int n = cut((const double (*)[2])points, LTS_SOIL_INSIDE, points[0], -way * friction, once);
   n = cut((const double (*)[2])once, n, rim, way * friction, below);
   for (int i = 0; i < n; ++i) {
     const double *a = below[i], *b = below[i + 1 < n ? i + 1 : 0], sides = a[0] * b[1] - a[1] * b[0];
@@ -90,7 +73,7 @@ static lts_room room_of(const lts_soil *soil, const lts_passage *p) {
     moment += sides * (a[0] + b[0]);
   }
   if (twice != 0.0) room.middle = moment / twice / 3.0;
-  room.holds = fmin(fmax((m->slips - (slope - lean)) / m->slips_out + 1.0, 0.0), 1.0);
+  room.holds = fmin(fmax((m->slips - (soil->inner_slope - lean)) / m->slips_out + 1.0, 0.0), 1.0);
   room.area = room.holds * fabs(twice) / 2.0;
   return room;
 }
@@ -127,7 +110,7 @@ static void place_over_floor(const void *of, size_t k, double out[3]) {
 
 /* What is taken up into some room. */
 static double scooped(lts_soil *soil, const lts_passage *p, double room) {
-  const floor_places over = {soil->model, p->s.pose[0] - p->s.origin, inside_of(soil), soil->width / 2.0};
+  const floor_places over = {soil->model, p->s.pose[0] - p->s.origin, soil->reach, soil->width / 2.0};
   float risen[N_ALONG * N_ACROSS];
   double sum = 0.0;
   lts_soil_find(soil, p, 1, N_ALONG * N_ACROSS, place_over_floor, &over, risen);
@@ -137,9 +120,8 @@ static double scooped(lts_soil *soil, const lts_passage *p, double room) {
     sum += fmax((double)risen[k] + cut_at(soil, p, at[0]), 0.0);
   }
   const double *taken = soil->model->taken, *curled = soil->model->curled;
-  double slope;
-  floor_of(soil, &slope);
-  const double curl = fmin(fmax((lean_of(p) - slope - curled[0]) / (curled[1] - curled[0]), 0.0), 1.0);
+  const double fall = lean_of(p) - soil->inner_slope;
+  const double curl = fmin(fmax((fall - curled[0]) / (curled[1] - curled[0]), 0.0), 1.0);
   const double kept = taken[0] + (taken[1] - taken[0]) * curl;
   return fmin(fmax(room - p->s.payload, 0.0), kept * over.inside * sum / (N_ALONG * N_ACROSS));
 }
@@ -170,12 +152,11 @@ void lts_soil_give_and_take(lts_soil *soil, lts_passage *p, int keeps) {
   double found = 0.0;
   if (!(p->s.taken > 0.0 || p->s.payload > 0.0)) return;
   if (p->s.taken > 0.0) {
-    const double inside = inside_of(soil);
     double share = 0.0;
     for (int pass = 0; pass < 2; ++pass) { /* first how much there is */
       for (int32_t k = 0; k < c->n; ++k) {
         const double ahead = c->u[k] - p->s.pose[0];
-        if (!(fabs(c->across[k]) <= half && ahead <= 0.0 && ahead > -inside)) continue;
+        if (!(fabs(c->across[k]) <= half && ahead <= 0.0 && ahead > -soil->reach)) continue;
         const double deep = cut_at(soil, p, c->u[k] - p->s.origin) / p->s.place.cosine;
         const double over = fmax((c->left[k] - c->before[k]) / soil->scale + deep, 0.0);
         if (!pass) {

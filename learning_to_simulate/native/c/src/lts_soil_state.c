@@ -143,6 +143,7 @@ static void fit_tool(lts_soil *soil) {
     soil->centres[left] = -soil->centres[right];
     soil->widths[left] = soil->widths[right] = m->beside_width;
   }
+  if (m->kind == LTS_SOIL_BLADE && t->bucket != 0.0) lts_soil_fit_bucket(soil);
 }
 
 int lts_soil_init(const lts_soil_model *m, const lts_soil_tool *tool, lts_terrain *terrain, void *memory,
