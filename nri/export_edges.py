@@ -1,4 +1,4 @@
-"""Exports the graph that an NRI model found: `edges.json`, the same as a mask, and its picture.
+"""Exports the graph that an NRI model found: `edges.json` and its picture.
 
 Examples:
   # edges of probability above 0.6, as in the thesis
@@ -9,27 +9,25 @@ Examples:
   python -m nri.export_edges --model_path=/tmp/nri_excavation --data_path=datasets/excavation \\
       --output_path=/tmp/edges --keep=20
 
-Writes edges.json (schema in docs/data.md; a training takes it by `--adjacency`), edges.npy (bool,
-[receiver, sender]) and edges.png (senders x receivers). NRI knows no self-edges; they carry nothing
-that a node's own update does not see. A graph without any edge, or with all of them, is not
+Writes edges.json (schema in docs/data.md; a training takes it by `--adjacency`) and edges.png
+(senders x receivers). NRI knows no self-edges; they carry nothing that a node's own update does not
+see. A graph without any edge, or with all of them, is not
 exported unless --allow_degenerate is given: it says that the encoder collapsed, not what the soil
 does.
 """
 
-import dataclasses
 import os
 import re
 
 import numpy as np
 from absl import flags
 
-from learning_to_simulate import command, connectivity_utils
-from learning_to_simulate.scene import Scene
+from learning_to_simulate import command
 from learning_to_simulate.subspace import edge_lists
 from nri import data as nri_data
-from pca_tools import dataset, files
+from pca_tools import files
 
-MASK_FILE, PICTURE_FILE = 'edges.npy', 'edges.png'
+PICTURE_FILE = 'edges.png'
 
 
 def edge_posterior(model, features) -> np.ndarray:
@@ -103,44 +101,22 @@ def find_edges(
     )
 
 
-def completed(edges: edge_lists.EdgeList, data_path: str):
-    """Algorithm 2 around the mode block, on the first run of a dataset of this project: the
-    mask of the whole graph and its node names, or None where the data are no such dataset."""
-    if not os.path.exists(os.path.join(data_path, dataset.METADATA_NAME)):
-        return None
-    metadata = dataset.read_metadata(data_path)
-    first = dataset.read_split(data_path, 'train')[0]
-    kind = int(first.particle_type[0]) if first.n_rigid else None
-    motion = None if first.n_rigid else 'none'
-    scene = Scene.from_metadata(metadata, rigid_particle_type=kind, rigid_motion=motion)
-    # A list may be of the first modes only, as models may have these only (`--modes`).
-    n_modes = len(edges.node_names) - sum(name.startswith('rigid_') for name in edges.node_names)
-    scene = dataclasses.replace(scene, n_modes=n_modes)
-    modes = edge_lists.mode_names(n_modes)
-    mask = connectivity_utils.algorithm2(scene, first.n_rigid, edges.mask_for(modes))
-    return mask, tuple(f'rigid_{i}' for i in range(first.n_rigid)) + modes
-
-
-def export(edges: edge_lists.EdgeList, data_path: str, output_path: str) -> list[str]:
-    """Writes edges.json, edges.npy and edges.png; returns their names."""
+def export(edges: edge_lists.EdgeList, output_path: str) -> list[str]:
+    """Writes edges.json and edges.png; returns their names."""
     os.makedirs(output_path, exist_ok=True)
-    names = [os.path.join(output_path, n) for n in (edge_lists.FILE_NAME, MASK_FILE, PICTURE_FILE)]
+    names = [os.path.join(output_path, name) for name in (edge_lists.FILE_NAME, PICTURE_FILE)]
     edge_lists.write(names[0], edges)
-    nri_data.write_array(names[1], edges.mask)
-    draw(names[2], edges, completed(edges, data_path))
+    draw(names[1], edges)
     return names
 
 
-def draw(path: str, edges, whole=None) -> None:
-    """Draws probabilities, kept edges and, where given, the graph that Algorithm 2 makes of them
-    (of `completed`), senders x receivers, as in figures 3.5 to 3.7 of Usmani 2023."""
+def draw(path: str, edges) -> None:
+    """Draws probabilities and kept edges, senders x receivers, as in figures 3.5 to 3.7 of Usmani
+    2023."""
     panels = [
         ('probability', edges.probabilities, edges.node_names),
         (f'{edges.n_edge} edges ({edges.method})', edges.mask.astype(float), edges.node_names),
     ]
-    if whole:
-        mask, names = whole
-        panels.append((f'Algorithm 2: {mask.sum()} edges', mask.astype(float), names))
     figure, images = show_matrices(panels)
     bar = figure.colorbar(images[0], ax=images[0].axes, shrink=0.75)
     if edges.threshold is not None:
@@ -150,14 +126,9 @@ def draw(path: str, edges, whole=None) -> None:
 
 def show_matrices(panels):
     """A figure of (title, matrix [receiver, sender], node names) side by side; rows are senders,
-    columns receivers. Returns it and its images. ValueError: matplotlib, which is optional, is
-    missing."""
-    try:
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise ValueError(
-            'pictures need matplotlib: pip install -c constraints.txt -e .[viz]'
-        ) from error
+    columns receivers. Returns it and its images."""
+    from matplotlib.figure import Figure  # optional: the extra [viz]
+
     figure, images = Figure(figsize=(4.2 * len(panels), 4.7), layout='constrained'), []
     for axis, (title, matrix, names) in zip(figure.subplots(1, len(panels)), panels):
         images.append(axis.imshow(np.asarray(matrix).T, cmap='gray_r', vmin=0, vmax=1))
@@ -186,7 +157,7 @@ def save(path: str, figure) -> None:
 def define_flags():
     flags.DEFINE_string('model_path', None, 'Folder of the NRI model.', required=True)
     flags.DEFINE_string('data_path', None, 'The data it was trained on.', required=True)
-    flags.DEFINE_string('output_path', None, 'Folder for the three files.', required=True)
+    flags.DEFINE_string('output_path', None, 'Folder for the files.', required=True)
     flags.DEFINE_float('threshold', 0.6, 'Edges have a probability above it.', 0.0, 1.0)
     flags.DEFINE_integer('keep', None, 'Instead: number of edges, the most probable ones.', 0)
     flags.DEFINE_bool('allow_degenerate', False, 'Export an empty or saturated graph too.')
@@ -198,7 +169,7 @@ def main(v):
         v.model_path, v.data_path, threshold=v.threshold, keep=v.keep,
         allow_degenerate=v.allow_degenerate,
     )  # fmt: skip
-    names = export(edges, v.data_path, v.output_path)
+    names = export(edges, v.output_path)
     r, n_node = edges.report, len(edges.node_names)
     print(
         f'{edges.n_edge} of {n_node * (n_node - 1)} edges between {n_node} nodes; '

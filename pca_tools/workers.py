@@ -28,7 +28,6 @@ SLURM_WALLTIME = '01:00:00'
 SLURM_LIFETIME = ('--lifetime', '55m', '--lifetime-stagger', '4m')
 SLURM_MEMORY = '4GB'
 _GOES_ON = 'what was finished is kept, the same command goes on'
-_EXTRA = "Dask is not installed: pip install 'learning-to-simulate-soil[cluster]'"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -126,11 +125,9 @@ def start(where: str = '', processes: int | None = None) -> Iterator[Workers]:
 
 
 def _client(stack: contextlib.ExitStack, kind: str, where: str, count: int):
-    try:
-        import dask
-        import distributed
-    except ModuleNotFoundError as error:
-        raise ModuleNotFoundError(_EXTRA) from error
+    import dask
+    import distributed
+
     if kind in ('tcp', 'tls'):
         target: Any = where
     elif kind == 'local':
@@ -150,10 +147,8 @@ def _client(stack: contextlib.ExitStack, kind: str, where: str, count: int):
 def slurm_cluster():
     """Returns the cluster of the batch system; `.job_script()` shows what is submitted. Queue,
     account and the like are set in Dask's own configuration (`~/.config/dask/jobqueue.yaml`)."""
-    try:
-        from dask_jobqueue import SLURMCluster
-    except ModuleNotFoundError as error:
-        raise ModuleNotFoundError(_EXTRA) from error
+    from dask_jobqueue import SLURMCluster
+
     return SLURMCluster(
         cores=1, processes=1, memory=SLURM_MEMORY, walltime=SLURM_WALLTIME,
         worker_extra_args=list(SLURM_LIFETIME),

@@ -2,7 +2,7 @@
 
 python -m reports                                  # the list
 python -m reports protocol --help                  # what one does, its flags, examples
-python -m reports explain --model_path=models/wheel/pcg --data_path=datasets/wheel
+python -m reports beyond --output_path=/tmp/beyond.json
 """
 
 import importlib
@@ -23,14 +23,12 @@ REPORTS = {
     'packing': ('packing', 'how much of an error is chance: runs with another packing'),
     'soil_fits': ('soil_fits', 'how well `lts fit-soil` finds known soils'),
     'page': ('page', 'how fast the page without a server is, in Chromium'),
-    'explain': ('explain', 'what a rollout leaves out: edges, MFLOP, time'),
-    'edges': ('edges.edge_ablation', 'what edges between modes are worth'),
     'nri_proof': ('edges.nri_proof', 'edges of known systems, found without labels'),
     'nri_stability': ('edges.nri_stability', 'how far seeds of NRI agree'),
     'documents': ('documents', 'tables of the documents, again from their JSON'),
 }
 # Run on one thread of TensorFlow: their times and bits are those of one.
-ON_ONE_THREAD = 'times', 'stability', 'beyond', 'packing', 'explain'
+ON_ONE_THREAD = 'times', 'stability', 'beyond', 'packing'
 
 
 def main(arguments: list[str]) -> None:

@@ -86,18 +86,6 @@ def ways(path: str) -> str:
     return markdown.table(['runs', *titles, 'frames flagged, %'], rows)
 
 
-def table(path: str) -> str:
-    """The runs, and below them the errors of flagged frames and of others."""
-    rows = [
-        [f'{scene}: {row["run"]}', row['soil_mm'], row['force_relative_l2'],
-         f'{100 * row["flagged_share"]:.0f}', row['reason'].partition(':')[0]]
-        for scene, found in files.read_json(path)['scenes'].items()
-        for row in found['runs']
-    ]  # fmt: skip
-    header = 'run', 'soil, mm', 'force, rel. L2', 'frames flagged, %', 'reason'
-    return markdown.table(header, rows)
-
-
 def separations(path: str) -> str:
     """Error of the force over the force, of frames that are flagged and of others."""
     rows = []
@@ -118,7 +106,7 @@ def main(values) -> None:
         found['scenes'][scene], ways_of_scene = judged(scene)
         found['ways'] |= ways_of_scene
     files.write_json(values.output_path, found)
-    print(*(made(values.output_path) for made in (table, separations, ways)), sep='\n\n')
+    print(*(made(values.output_path) for made in (separations, ways)), sep='\n\n')
 
 
 def define_flags() -> None:

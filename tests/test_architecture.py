@@ -39,9 +39,7 @@ MAY_IMPORT = {
         'learning_to_simulate.checkpoints',
         'learning_to_simulate.command',
         'learning_to_simulate.config',
-        'learning_to_simulate.connectivity_utils',
         'learning_to_simulate.subspace.edge_lists',
-        'learning_to_simulate.scene',
     ),
     'reports': ('learning_to_simulate', 'mpm', 'nri', 'pca_tools'),
 }

@@ -106,11 +106,9 @@ def read_points(path: str) -> tuple[np.ndarray, dict[str, np.ndarray], dict[str,
     """Reads a `.vtp`: points [P, 3], point data and field data by name, as `write_points` takes
     them. ModuleNotFoundError: the package `vtk` is not installed. ValueError: damaged, or no
     points."""
-    try:
-        import vtk
-        from vtk.util.numpy_support import vtk_to_numpy
-    except ModuleNotFoundError as error:
-        raise ModuleNotFoundError(f'{path}: reading .vtp takes vtk: pip install vtk') from error
+    import vtk
+    from vtk.util.numpy_support import vtk_to_numpy
+
     files.refuse_git_lfs_pointer(path)
     vtk.vtkObject.GlobalWarningDisplayOff()  # damaged files are told of below, in one line
     reader = vtk.vtkXMLPolyDataReader()

@@ -9,7 +9,7 @@ Examples:
         --work_path=/tmp/nri_8 --output_path=/tmp/nri_8.json
 
 Resumes where it was stopped; a picture of the graphs lies beside the JSON, which holds P(edge) of
-every seed, mean over the training runs, and is what `reports edges --nri_path` takes.
+every seed, mean over the training runs.
 """
 
 import dataclasses

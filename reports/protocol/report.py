@@ -36,13 +36,8 @@ def define_flags() -> None:
 
 
 def main(values) -> None:
-    write(judge.folders_of(values.model), values)
-
-
-def write(methods: dict[str, list[str]], values) -> None:
-    """Judges methods (of `judge.folders_of`), writes the document and prints its tables, by the
-    values of all flags but `model`."""
     path = values.output_path
+    methods = judge.folders_of(values.model)
     document = judge.judge(values.data_path, methods, values.work_path, values.num_processes)
     # On one line: every run of every training is in it.
     files.write_text(path, json.dumps(document, separators=(',', ':')) + '\n')

@@ -87,7 +87,6 @@ def test_graphs_without_a_meaning_are_refused(data, model_path, tmp_path, monkey
 
 
 def test_command_writes_a_list_that_the_simulator_reads(data, model_path, tmp_path):
-    """The three files agree with each other, and Algorithm 2 completes the mode block."""
     command = [
         'nri.export_edges', f'--model_path={model_path}', f'--data_path={data}',
         f'--output_path={tmp_path / "out"}',
@@ -96,14 +95,8 @@ def test_command_writes_a_list_that_the_simulator_reads(data, model_path, tmp_pa
     assert done.returncode == 0, done.stderr
     assert '4 of 6 edges' in done.stdout and 'bits' in done.stdout
     edges = edge_lists.read(str(tmp_path / 'out' / 'edges.json'))
-    mask = edge_lists.read_mask(str(tmp_path / 'out' / 'edges.npy'))
-    np.testing.assert_array_equal(mask, edges.mask)
+    assert edges.n_edge == 4
     assert (tmp_path / 'out' / 'edges.png').read_bytes()[:4] == b'\x89PNG'
-    whole, names = export_edges.completed(edges, data)
-    assert names == ('rigid_0', 'rigid_1', 'rigid_2', 'rigid_3', *edge_lists.mode_names(R))
-    assert whole.sum() == 4 * R + 4
-    np.testing.assert_array_equal(whole[4:, 4:], mask)
-    assert export_edges.completed(edges, str(tmp_path)) is None  # Kipf's data have no body
 
 
 @pytest.mark.parametrize(
@@ -121,7 +114,5 @@ def test_lists_over_other_nodes_give_the_block_of_their_modes(
     assert edges.node_names[-n_mode:] == modes
     block = edges.mask_for(modes)
     assert list(zip(*np.nonzero(block))) == [(0, 1), (1, 2)][: n_mode - 1]
-    whole, names = export_edges.completed(edges, data)
-    assert names[4:] == modes and whole.sum() == 4 * n_mode + n_mode - 1
-    export_edges.export(edges, data, str(tmp_path / 'out'))
+    export_edges.export(edges, str(tmp_path / 'out'))
     edge_lists.read(str(tmp_path / 'out' / 'edges.json')).check_data(data)
