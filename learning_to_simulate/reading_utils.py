@@ -6,7 +6,6 @@ step sees is a function of (seed, step) alone.
 """
 
 import dataclasses
-import os
 
 import numpy as np
 
@@ -210,19 +209,13 @@ def read_scene(
         of_body = np.searchsorted(np.cumsum(counts), first.kept[0], side='right')
         bodies = tuple(zip(names, np.bincount(of_body).tolist(), strict=True))
     if n_soil is None:
-        n_soil = _soil_particles_of_eigenvalues(folder)
-    n_modes = first.position.shape[2] - first.n_rigid
-    return dataclasses.replace(
-        scene, n_modes=n_modes, rigid_edges=edges, bodies=bodies, n_soil=n_soil
-    )
-
-
-def _soil_particles_of_eigenvalues(folder):
-    """N from the authors' file, which holds one eigenvalue per particle."""
-    path = os.path.join(folder, 'pca_eigen_values.pkl')
-    if not os.path.exists(path):
+        n_soil = legacy_pickles.soil_particles(folder)
+    if n_soil is None:
         raise ValueError(
             f'{folder}: metadata.json states no n_soil (soil particles N), without which errors '
             f'have no unit'
         )
-    return int(np.size(legacy_pickles.read_array(path)))
+    n_modes = first.position.shape[2] - first.n_rigid
+    return dataclasses.replace(
+        scene, n_modes=n_modes, rigid_edges=edges, bodies=bodies, n_soil=n_soil
+    )

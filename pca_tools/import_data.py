@@ -27,7 +27,7 @@ import numpy as np
 from absl import flags
 from tqdm import tqdm
 
-from pca_tools import command, dataset, files, formats, raw_runs
+from pca_tools import command, dataset, files, formats, legacy_pickles, raw_runs
 from pca_tools.formats import full_space
 from pca_tools.metadata import AXES, METADATA_NAME, RIGID_MOTIONS, SCHEMA_VERSION, SPLITS
 
@@ -107,6 +107,8 @@ def _import_authors(
         'particles_rigid': statistics.mode(run.n_rigid for run in runs),
         'frames_stored': runs[0].n_frames,
     }
+    if n_soil := legacy_pickles.soil_particles(folder):
+        metadata['n_soil'] = n_soil
     # Their ids repeat and are not as many as the records.
     metadata['source_split'] = metadata.pop('dataset_split', {})
     metadata['dataset_split'] = {

@@ -360,7 +360,7 @@ def _check_pickles(found: Inspection) -> None:
         try:
             files.refuse_git_lfs_pointer(path)
             if name == legacy_pickles.EIGENVALUES_NAME:
-                found.n_soil = len(legacy_pickles.read_array(path))  # one a particle
+                found.n_soil = legacy_pickles.soil_particles(found.folder)
         except (ValueError, OSError) as error:
             found.add(WARN, f'{error}{lost}')
 

@@ -108,6 +108,12 @@ class _ArrayUnpickler(pickle.Unpickler):
             raise ValueError(f'names {module}.{name}, which is not a numpy array') from None
 
 
+def soil_particles(folder: str) -> int | None:
+    """N of a folder of the authors, whose file holds one eigenvalue a particle; None without it."""
+    path = os.path.join(folder, EIGENVALUES_NAME)
+    return int(np.size(read_array(path))) if os.path.exists(path) else None
+
+
 def read_array(path: str) -> np.ndarray:
     """Reads a pickled numpy array or scalar of numbers. FileNotFoundError: there is no such file.
     ValueError: git-lfs pointer, empty or damaged file, or a pickle of anything else."""

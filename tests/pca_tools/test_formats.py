@@ -383,6 +383,8 @@ def test_the_authors_folder_becomes_a_dataset(original, tmp_path):
     text = import_data(original, str(tmp_path / 'out'), body='predicted')
     assert 'a dataset of' in text and 'scores cannot be decoded' in text
     metadata = dataset.read_metadata(str(tmp_path / 'out'))
+    # As published; without it no model can be trained.
+    assert metadata['n_soil'] in (4880, 6005)
     for split, ids in metadata['dataset_split'].items():
         ours = dataset.read_split(str(tmp_path / 'out'), split)
         theirs = dataset.read_split(original, split)
