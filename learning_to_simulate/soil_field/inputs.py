@@ -174,7 +174,8 @@ _AHEAD = Row('ahead', 0.1, 'tanh')
 # down on soil bears many times what an edge does. Grains are stiff against their weight.
 _BACK = (
     Row('behind', 0.1, 'tanh'), Row('pressed', 0.003), Row('sqrt(pressed + 1e-6)', 0.05),
-    Row('pressed', 0.001, 'tanh'), Row('stress'),
+    Row('pressed', 0.001, 'tanh'), Row('stress'), Row('floor', 0.2, shift=0.12),
+    Row('floor_share', 0.3, shift=0.6),
 )  # fmt: skip
 _BLADE = (
     Row('lean'), Row('half_width', 0.2), Row('friction', 0.15, shift=0.76),

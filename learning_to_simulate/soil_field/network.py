@@ -37,7 +37,7 @@ NETWORKS = 'load', 'surface', 'soil'
 # Layers of each. Three narrow ones for the load of a blade have 0.96 of the error of two wide ones;
 # for a wheel, of which there are fewer runs, 1.07.
 _PLACES = {'surface': (64, 64), 'soil': (64, 64, 64)}
-HIDDEN = {'blade': {'load': (55, 48, 48), **_PLACES}, 'wheel': {'load': (64, 64), **_PLACES}}
+HIDDEN = {'blade': {'load': (54, 48, 48), **_PLACES}, 'wheel': {'load': (64, 64), **_PLACES}}
 
 
 def names_of(tool) -> tuple[str, ...]:

@@ -34,7 +34,7 @@ NOISE = {'blade': 0.02, 'wheel': 0.0}
 NOISE_OF_TOOL = {
     'blade': {
         'half_width': 0.1, 'radius': 0.05, 'length': 0.2, 'bucket': 0.2, 'plates': 0.2,
-        'stress': 0.1,
+        'stress': 0.1, 'floor': 0.1, 'floor_share': 0.1,
     },
     'wheel': {'lugs': 0.1, 'lug_height': 0.1},
 }  # fmt: skip

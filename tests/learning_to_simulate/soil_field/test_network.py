@@ -12,7 +12,7 @@ SIZES = [3, 5, 4, 2]
 
 
 @pytest.mark.parametrize('tool', [Blade, Wheel])
-def test_weights_of_a_model_take_at_most_400_kib(tool):
+def test_weights_of_a_model_take_at_most_400_kb(tool):
     members = settings.PRESETS['soil_field'].members
     nets = network.SoilNetworks(tool, members, 0)
     numbers = sum(np.prod(v.shape) for v in nets.trainable_variables)
