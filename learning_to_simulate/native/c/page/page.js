@@ -7,6 +7,7 @@ const TOOLS = isWheel
 const PRESETS = isWheel ? WHEEL_PRESETS : BLADE_PRESETS;
 const CELL = 0.02, REACH = isWheel ? 6 * 0.15 : 1.4;  // m: of the terrain; of what is seen of it
 const RANGE = isWheel ? 0.016 : 0.04;  // m of the last colour
+const SHOWN_EVERY = 150;  // ms: figures and chart; to paint them takes as long as the scene
 const NEWTONS = isWheel ? 500 : 2000;  // of an arrow of one metre
 
 async function unpacked(text) {
@@ -18,7 +19,7 @@ class Page {
   constructor(exports, scene) {
     this.machine = new Machine(exports); this.scene = scene;
     this.toolName = Object.keys(TOOLS)[0]; this.preset = ''; this.script = null; this.ghost = null;
-    this.paused = false; this.keys = new Set(); this.times = []; this.said = ''; this.recording = null; this.frame = 0;
+    this.paused = false; this.keys = new Set(); this.times = []; this.said = ''; this.recording = null; this.frame = 0; this.shown = -Infinity;
     $('loaded').checked = isWheel;
     if (isWheel) scene.azimuth = -0.8;  // from behind: the rut lies in front
     this.buttons(); this.sliders(); this.steering(); this.legend();
@@ -87,7 +88,7 @@ class Page {
       this.frame++;
     }
     const t = this.frame * dt, f = m.force, [ahead, side] = this.axes(), split = (v) => [-(v[0] * ahead[0] + v[2] * ahead[2]), v[1], v[0] * side[0] + v[2] * side[2]];
-    const row = { t, force: split(f), bound: m.bound, ghost: this.ghost ? split(this.ghost.force[this.frame]) : null };
+    const row = { k: this.frame, t, force: split(f), bound: m.bound, ghost: this.ghost ? split(this.ghost.force[this.frame]) : null };
     this.rows.push(row);
     if (this.rows.length > SECONDS / dt + 2) this.rows.shift();
     if (this.recording) {
@@ -276,10 +277,12 @@ class Page {
     if (this.paused) this.late = 0;
     while (this.late >= DT * 0.98) { this.late -= DT; this.advance(DT); }
     this.draw();
-    if (!(this.count = ((this.count || 0) + 1) % 4) || this.paused) this.show();
     if (gone > 0) this.times.push(gone);
     if (this.times.length > 240) this.times.shift();
-    if (this.count === 0 && this.times.length > 30) this.pace();
+    if (now - this.shown < SHOWN_EVERY && !this.paused) return;
+    this.shown = now;
+    this.show();
+    if (this.times.length > 30) this.pace();
   }
 
   // After an error in a frame the soil is laid out anew; only where that does not help, the user has to act.

@@ -177,10 +177,7 @@ void main() {
   vec3 base = mix(sand, tint * (0.92 + 0.12 * grain), 0.72 * amount);
   vec3 c = seen.xyz * 0.5 + 0.5;
   float lit = 1.0;
-  if (all(greaterThan(c, vec3(0.0))) && all(lessThan(c, vec3(1.0)))) {
-    lit = 0.0;
-    for (int i = 0; i < 4; i++) lit += 0.25 * texture(shadow, vec3(c.xy + (vec2(i & 1, i >> 1) - 0.5) / ${SHADOW}.0, c.z - 0.004));
-  }
+  if (all(greaterThan(c, vec3(0.0))) && all(lessThan(c, vec3(1.0)))) lit = texture(shadow, vec3(c.xy, c.z - 0.004));
   lit = min(lit, 1.0 - 0.85 * risen.y);
   float sun = max(dot(n, light), 0.0) * lit;
   vec3 lamp = vec3(1.02, 0.96, 0.86) * 0.88 * sun + vec3(0.40, 0.43, 0.48) * (0.62 + 0.38 * n.y);
@@ -226,7 +223,7 @@ class Scene {
     this.soil = this.program(SOIL_VERTEX, SOIL_FRAGMENT);
     this.solids = this.program(SOLID_VERTEX, SOLID_FRAGMENT);
     this.grains = this.program(GRAIN_VERTEX, GRAIN_FRAGMENT);
-    this.step = Scene.isSlow() && config.kind !== 'wheel' ? 2 : 1;  // cells between vertices of a mesh
+    this.step = Scene.isSlow() ? 2 : 1;  // cells between vertices of a mesh
     this.wide = 142 / this.step;
     const index = [], outside = [], n = this.wide;
     const BAND = 7;  // columns at a time: vertices are found again in small caches
