@@ -150,6 +150,8 @@ class PackedRuns(Sequence):
         split: str,
         packed: Sequence[tuple[bytes, int]],
         rest: np.ndarray,
+        frame_stride: int = FRAME_STRIDE,
+        resolution: float | None = None,
         **own: np.ndarray,
     ) -> str:
         """Writes the packed runs of a split, in the order of its records, and their `own` arrays,
@@ -162,8 +164,8 @@ class PackedRuns(Sequence):
             frames=np.array([count for _, count in packed], np.int32),
             offsets=np.cumsum([0, *map(len, blobs)]),
             data=np.frombuffer(b''.join(blobs), np.uint8),
-            frame_stride=FRAME_STRIDE,
-            resolution=cls.RESOLUTION,
+            frame_stride=frame_stride,
+            resolution=resolution or cls.RESOLUTION,
         )
         return os.path.basename(path)
 

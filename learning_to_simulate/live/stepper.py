@@ -12,7 +12,9 @@ training runs is used and flagged, in that frame and in all that follow. After t
 nothing is compiled any more.
 """
 
+import contextlib
 import copy
+import threading
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -206,6 +208,7 @@ class Stepper:
         self._model, self._make, self._outside = model, make_step, outside
         self.scene, self.starts, self.engine = model.simulator.scene, starts, 'TensorFlow'
         self._decoder = model.decoder(subspace)
+        self._lock = threading.Lock()
         self._sizes: dict[int, tuple] = {}  # R -> step and ranges
         self._run: _Run | None = None
         self._allowed = {n_rigid} if starts is None else {len(kept) for kept in starts.kept}
@@ -252,10 +255,12 @@ class Stepper:
 
         Raises:
           ValueError: something that cannot be used; the state stays as it was.
+          RuntimeError: another thread is at work here.
         """
-        start = Start(self.scene, self.starts, pose, velocity, case, context)
-        start.pose.setflags(write=False)
-        return self._begin(start)
+        with _held(self._lock):
+            start = Start(self.scene, self.starts, pose, velocity, case, context)
+            start.pose.setflags(write=False)
+            return self._begin(start)
 
     def reset(self, history, context=None) -> Frame:
         """Starts from the last H frames, the body told by its particles; `step` then takes those.
@@ -265,17 +270,18 @@ class Stepper:
           context: [C], where the scene has one.
 
         Raises:
-          ValueError: as `start`; values that are not finite in float32.
+          ValueError, RuntimeError: as `start`; values that are not finite in float32.
         """
-        shape = np.shape(history)
-        n_rigid = max(shape[1] - self.scene.n_modes if len(shape) == 3 else 0, 0)
-        start = RecordedStart(self.scene, n_rigid, history, context)
-        if n_rigid not in self._allowed:
-            raise ValueError(
-                f'history has {n_rigid} rigid nodes, the bodies of the model '
-                f'{sorted(self._allowed)}'
-            )
-        return self._begin(start)
+        with _held(self._lock):
+            shape = np.shape(history)
+            n_rigid = max(shape[1] - self.scene.n_modes if len(shape) == 3 else 0, 0)
+            start = RecordedStart(self.scene, n_rigid, history, context)
+            if n_rigid not in self._allowed:
+                raise ValueError(
+                    f'history has {n_rigid} rigid nodes, the bodies of the model '
+                    f'{sorted(self._allowed)}'
+                )
+            return self._begin(start)
 
     def _begin(self, start):
         history, n = start.history(), len(start.kept)
@@ -308,24 +314,27 @@ class Stepper:
           ValueError: before the start; not a pose, or one where none is taken; another time step; a
             path beyond what a memory of it reaches; with `outside='raise'` a frame that is not
             `ok`. The state stays as it was.
+          RuntimeError: another thread is at work here.
         """
-        frame, body = self._proposed(pose, context, dt)
-        run, alone = self._begun(), frame.now
-        is_good = alone.status == RolloutStatus.OK
-        if not is_good and self._outside == RAISE:
-            raise ValueError(f'{alone.status}: {alone.reason}; the state stays as it was')
-        holds = not is_good and self._outside == HOLD
-        if holds or alone.status == RolloutStatus.NON_FINITE:
-            before = run.frame._replace(judgement=frame.judgement)
-            self._run = run._replace(frame=before)
-            return before._replace(now=alone) if holds else frame
-        self.computing.accept()
-        self._run = _Run(run.start, frame, run.count + 1, body)
-        return frame
+        with _held(self._lock):
+            frame, body = self._proposed(pose, context, dt)
+            run, alone = self._begun(), frame.now
+            is_good = alone.status == RolloutStatus.OK
+            if not is_good and self._outside == RAISE:
+                raise ValueError(f'{alone.status}: {alone.reason}; the state stays as it was')
+            holds = not is_good and self._outside == HOLD
+            if holds or alone.status == RolloutStatus.NON_FINITE:
+                before = run.frame._replace(judgement=frame.judgement)
+                self._run = run._replace(frame=before)
+                return before._replace(now=alone) if holds else frame
+            self.computing.accept()
+            self._run = _Run(run.start, frame, run.count + 1, body)
+            return frame
 
     def propose(self, pose=None, context=None, dt: float | None = None) -> Frame:
         """The frame of `step`, flagged where it is not `ok`; nothing changes. Raises as `step`."""
-        return self._proposed(pose, context, dt)[0]
+        with _held(self._lock):
+            return self._proposed(pose, context, dt)[0]
 
     def _proposed(self, pose, context, dt):
         """The coming frame, and the body [R, D] in it where it is given."""
@@ -381,9 +390,11 @@ class Stepper:
 
     def clone(self) -> 'Stepper':
         """A stepper of its own at the same point; both go on to the same bits."""
-        other = copy.copy(self)
-        other._sizes = {n: (step.clone(), ranges) for n, (step, ranges) in self._sizes.items()}
-        return other
+        with _held(self._lock):
+            other = copy.copy(self)
+            other._lock = threading.Lock()
+            other._sizes = {n: (step.clone(), ranges) for n, (step, ranges) in self._sizes.items()}
+            return other
 
     def particles(self) -> np.ndarray:
         """float32 [N, 3] of the soil in the newest frame, or at the start, m; ValueError without a
@@ -394,3 +405,14 @@ class Stepper:
         if self._run is None:
             raise ValueError('call start() first')
         return self._run
+
+
+@contextlib.contextmanager
+def _held(lock):
+    """A lock that is held for a call, or a message: two threads would mix their paths."""
+    if not lock.acquire(blocking=False):
+        raise RuntimeError('another thread is using this stepper; give each thread its own')
+    try:
+        yield
+    finally:
+        lock.release()
