@@ -11,9 +11,8 @@ Examples:
 
 Writes edges.json (schema in docs/data.md; a training takes it by `--adjacency`) and edges.png
 (senders x receivers). NRI knows no self-edges; they carry nothing that a node's own update does not
-see. A graph without any edge, or with all of them, is not
-exported unless --allow_degenerate is given: it says that the encoder collapsed, not what the soil
-does.
+see. A graph without any edge, or with all of them, is not exported unless --allow_degenerate is
+given: it says that the encoder collapsed, not what the soil does.
 """
 
 import os

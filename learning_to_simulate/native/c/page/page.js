@@ -88,7 +88,7 @@ class Page {
       this.frame++;
     }
     const t = this.frame * dt, f = m.force, [ahead, side] = this.axes(), split = (v) => [-(v[0] * ahead[0] + v[2] * ahead[2]), v[1], v[0] * side[0] + v[2] * side[2]];
-    const row = { k: this.frame, t, force: split(f), bound: m.bound, ghost: this.ghost ? split(this.ghost.force[this.frame]) : null };
+    const row = { t, force: split(f), bound: m.bound, ghost: this.ghost ? split(this.ghost.force[this.frame]) : null };
     this.rows.push(row);
     if (this.rows.length > SECONDS / dt + 2) this.rows.shift();
     if (this.recording) {
@@ -238,7 +238,8 @@ class Page {
     $('names').textContent = this.ghost ? `back: model · front: solver, run ${this.ghost.name}` : '';
     const target = this.driver.target;
     for (const name in this.fields) this.fields[name](target[name]);
-    drawPlot($('plot'), this.rows);
+    const first = this.frame - this.rows.length + 1;  // every third frame: two pixels apart
+    drawPlot($('plot'), this.rows.filter((_, i) => (first + i) % 3 === 0));
     if (!this.scene.metre) return;
     const options = [0.02, 0.05, 0.1, 0.2, 0.5, 1], long = options.filter((v) => v * this.scene.metre < 120).pop() || 0.02;
     $('scale').firstElementChild.style.width = `${Math.round(long * this.scene.metre)}px`;

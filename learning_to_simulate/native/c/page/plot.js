@@ -20,9 +20,8 @@ function plotRange(rows) {
   return [step * Math.floor(low / step), step * Math.ceil(high / step), step];
 }
 
-// Rows: {t, force [3], bound, ghost [3] or null}; unit N. Every third is drawn: two pixels apart.
-function drawPlot(canvas, all) {
-  const rows = all.filter((r) => r.k % 3 === 0);
+// Rows: {t, force [3], bound, ghost [3] or null}; unit N.
+function drawPlot(canvas, rows) {
   const ratio = Math.min(devicePixelRatio || 1, 2), w = canvas.clientWidth, h = canvas.clientHeight;
   if (canvas.width !== Math.round(w * ratio)) canvas.width = Math.round(w * ratio);
   if (canvas.height !== Math.round(h * ratio)) canvas.height = Math.round(h * ratio);
