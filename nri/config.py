@@ -53,12 +53,18 @@ class NriConfig(Settings):
     # Whether no direction is special in the box that the objects move in: each sample is then
     # turned by a multiple of 90 degrees and mirrored at random; in a plane one counts eight.
     isotropic: bool = False
+    # Whether objects act on each other along lines between them: their edges then follow from the
+    # decoder, without an encoder, and `segment` frames of a window are drawn; see `nri.central`.
+    central: bool = False
     nodes: str = 'modes'  # which nodes of a dataset of this project; see `nri.data`
     modes: int = number(0, 0, MAX_NODES)  # how many of its modes, the first ones; 0: all
 
     def rules(self):
-        """Raises for a prior that is no probability and a segment longer than the window."""
+        """Raises for a prior that is no probability, a segment longer than the window, and edges
+        as labels for `central`."""
         log_prior(self.edge_types, self.no_edge_prior)
+        if self.supervised and self.central:
+            raise ValueError('central has no encoder that could be trained with the true edges')
         if self.segment >= self.window:
             raise ValueError(
                 f'a segment of {self.segment} frames and the one before it are more than the '

@@ -14,12 +14,13 @@ import tensorflow as tf
 from learning_to_simulate import checkpoints
 from learning_to_simulate.checkpoints import CONFIG_FILE, WEIGHTS_FILE
 from nri import losses, networks
+from nri.central import Central
 from nri.config import MAX_NODES, NriConfig, log_prior
 from nri.networks import Decoder, Encoder, unroll
 from pca_tools import files
 
 MAX_FEATURES = 100
-BATCH = 500  # windows at a time
+BATCH = 500  # windows at a time; fewer where objects have more than 16 sets of edges
 
 
 class NriModel(snt.Module):
@@ -38,12 +39,19 @@ class NriModel(snt.Module):
         self._check()
         n_features = self.offset.shape[1]
         tf.random.set_seed(config.seed)
-        self.encode = Encoder(config.hidden, config.edge_types)
-        self.decoder = Decoder(n_features, config.hidden, config.edge_types, config.skip_first)
         self._log_prior = log_prior(config.edge_types, config.no_edge_prior)
-        frames = tf.zeros([1, len(self.node_names), config.window, n_features])
-        types = tf.nn.softmax(self.both_ways(self.logits(frames, is_training=True)))
-        self.decoder(frames[:, :, 0], types)
+        n_node = len(self.node_names)
+        frames = tf.zeros([1, n_node, config.window, n_features])
+        self.central, self.batch_size = None, BATCH
+        if config.central:
+            self.central = Central(n_node, n_features, config, self._log_prior)
+            self.batch_size = max(1, BATCH * 16 // max(16, self.central.n_sets))
+            self.logits(frames, is_training=True)
+        else:
+            self.encode = Encoder(config.hidden, config.edge_types)
+            self.decoder = Decoder(n_features, config.hidden, config.edge_types, config.skip_first)
+            types = tf.nn.softmax(self.both_ways(self.logits(frames, is_training=True)))
+            self.decoder(frames[:, :, 0], types)
         self._probabilities = tf.function(
             lambda features: tf.nn.softmax(
                 self.both_ways(self.logits(self.normalized(features), is_training=False))
@@ -78,7 +86,12 @@ class NriModel(snt.Module):
         """Logits of types that are chosen independently, of normalised frames [B, V, window, F]:
         [B, V (V - 1), K]; with `symmetric` [B, V (V - 1) / 2, K], of the pairs i < j. In training
         layers are normalised with the statistics of this batch."""
-        logits = self.encode(frames, is_training)
+        if self.central:
+            by_time = tf.transpose(frames, [0, 2, 1, 3])
+            each = self.central.log_likelihoods(by_time[:, :-1], by_time[:, 1:])
+            logits = self.central.posterior(tf.reduce_sum(each, axis=1))[1]
+        else:
+            logits = self.encode(frames, is_training)
         if self.config.symmetric:
             return networks.mean_of_both_ways(logits, frames.shape[1])
         return logits
@@ -98,6 +111,8 @@ class NriModel(snt.Module):
         true edges."""
         c = self.config
         frames = self.normalized(features)
+        if self.central:
+            return self._losses_of_central(frames, seed)
         logits = self.logits(frames, is_training)
         if c.supervised:
             cross_entropy = tf.nn.sparse_softmax_cross_entropy_with_logits(
@@ -122,6 +137,21 @@ class NriModel(snt.Module):
         kl = tf.reduce_mean(tf.reduce_sum(kl, axis=1)) / n_node
         return {'loss': nll + kl, 'nll': nll, 'kl': kl}
 
+    def _losses_of_central(self, frames, seed):
+        """Of `segment` frames at even distances, from a random one on."""
+        c = self.config
+        apart = (c.window - 1) // c.segment
+        n_start = c.window - 1 - apart * (c.segment - 1)
+        first = tf.random.stateless_uniform(
+            [tf.shape(frames)[0], 1], seed, maxval=n_start, dtype=tf.int32
+        )
+        chosen = first + apart * tf.range(c.segment)
+        by_time = tf.transpose(frames, [0, 2, 1, 3])
+        now, after = (tf.gather(by_time, chosen + k, axis=1, batch_dims=1) for k in (0, 1))
+        nll, kl = self.central.losses(now, after)
+        nll *= c.window - 1
+        return {'loss': nll + kl, 'nll': nll, 'kl': kl}
+
     def edge_probabilities(self, features) -> np.ndarray:
         """Posterior of the edge types, float32 [S, V (V - 1), K], pairs in Kipf's order, of
         features [S, V, T, F] as `data.load` gives them.
@@ -141,10 +171,10 @@ class NriModel(snt.Module):
     def window_probabilities(self, windows) -> np.ndarray:
         """Posterior of single windows: [S, V, window, F] -> float32 [S, V (V - 1), K]."""
         parts = []
-        for first in range(0, len(windows), BATCH):
-            batch = windows[first : first + BATCH]
+        for first in range(0, len(windows), self.batch_size):
+            batch = windows[first : first + self.batch_size]
             # A short last batch is filled up, so that nothing is compiled for it.
-            filled = np.resize(batch, (min(BATCH, len(windows)), *batch.shape[1:]))
+            filled = np.resize(batch, (min(self.batch_size, len(windows)), *batch.shape[1:]))
             parts.append(self._probabilities(tf.constant(filled))[: len(batch)].numpy())
         return np.concatenate(parts)
 

@@ -25,7 +25,6 @@ from pca_tools.storage import folder_lock
 HISTORY_FILE, METRICS_FILE = 'history.json', 'metrics.json'
 # Independent random streams of one (seed, step).
 _TRAIN_STREAM, _VALID_STREAM, _TURN_STREAM = 1, 2, 3
-_VALID_BATCH = 500
 
 
 class LateDecay(tf.keras.optimizers.schedules.LearningRateSchedule):
@@ -66,8 +65,9 @@ class Trainer:
         self.model, self.config = model, model.config
         if self.config.supervised and train.edges is None:
             raise ValueError(f'{train.source}: has no true edges, so training cannot be supervised')
-        if self.config.isotropic and not train.same_scale:
-            raise ValueError(f'{train.source}: modes are not isotropic; leave out --isotropic')
+        for name in ('isotropic', 'central'):
+            if getattr(self.config, name) and not train.same_scale:
+                raise ValueError(f'{train.source}: modes have no directions; leave out --{name}')
         n_run, n_node, n_frame, n_feature = train.features.shape
         self._n_start = n_frame - self.config.span + 1
         self.n_sample = n_run * self._n_start
@@ -128,9 +128,11 @@ class Trainer:
         config = self.config
         windows = data.features[:, :, : config.span : config.stride]
         totals: dict[str, float] = collections.defaultdict(float)
-        for first in range(0, len(windows), _VALID_BATCH):
-            batch = tf.constant(windows[first : first + _VALID_BATCH])
-            edges = None if data.edges is None else data.edges[first : first + _VALID_BATCH]
+        for first in range(0, len(windows), self.model.batch_size):
+            batch = tf.constant(windows[first : first + self.model.batch_size])
+            edges = (
+                None if data.edges is None else data.edges[first : first + self.model.batch_size]
+            )
             seed = tf.constant([config.seed * 8 + _VALID_STREAM, first], tf.int32)
             for name, value in self._validation_losses(batch, seed, edges).items():
                 totals[name] += float(value) * len(batch)

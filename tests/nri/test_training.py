@@ -127,8 +127,9 @@ def test_isotropic_runs_are_turned_and_mirrored_each_in_its_way(monkeypatch):
     features, _ = given_to_the_losses(Trainer(model, held), [0] * 4, monkeypatch)
     assert len(np.unique(features, axis=0)) > 1
     modes = dataclasses.replace(held, same_scale=False)
-    with pytest.raises(ValueError, match='modes are not isotropic'):
-        Trainer(model, modes)
+    for name in ('isotropic', 'central'):
+        with pytest.raises(ValueError, match=f'modes have no directions; leave out --{name}'):
+            Trainer(small.model(modes, **{name: True}), modes)
 
 
 @pytest.mark.parametrize(
@@ -137,6 +138,7 @@ def test_isotropic_runs_are_turned_and_mirrored_each_in_its_way(monkeypatch):
         {'isotropic': True, 'symmetric': True, 'no_edge_prior': 0.9},
         {'skip_first': False, 'edge_types': 3},
         {'supervised': True},
+        {'central': True, 'symmetric': True, 'skip_first': False, 'no_edge_prior': 0.6},
     ],
 )
 def test_every_variant_learns_and_its_gradients_reach_all_weights(settings):

@@ -16,7 +16,7 @@ def test_proof_simulates_trains_measures_and_draws(tmp_path):
     assert (tmp_path / 'curve.png').read_bytes().startswith(b'\x89PNG')
     # The same model, as one that was trained elsewhere, on the same test runs made once more.
     again = nri_proof.run(
-        'springs', 3, str(tmp_path / 'again'), counts, config, str(tmp_path / 'model_springs3')
+        'springs', 3, str(tmp_path / 'again'), counts, config, str(tmp_path / 'model_springs3_0')
     )
     assert again == result
 
