@@ -38,7 +38,7 @@ SHIPPED = {
         'soil_field',
         {'seed': 2},
     ),
-    'wheel/soil_field': Recipe(('wheel', 'wheel_more'), 'soil_field', {'seed': 4}),
+    'wheel/soil_field': Recipe(('wheel', 'wheel_more'), 'soil_field', {'seed': 0}),
     'excavation/mlp_driven': Recipe(('excavation',), 'mlp_driven', {'num_steps': 4000}),
     'excavation/pcg': Recipe(('excavation',), 'pcg', {'modes': 8}),
     'wheel/pcg': Recipe(('wheel',), 'pcg', {'modes': 8}),

@@ -158,7 +158,7 @@ def _seeds(path, folder, n_run):
     rows = files.read_json(os.path.join(folder, 'metrics.json'))['runs']
     config = files.read_json(os.path.join(path, 'config.json'))
     about = {'seed': config.get('config', {}).get('seed')}
-    if os.path.commonpath([path, record.ROOT]) == record.ROOT:
+    if os.path.commonpath([os.path.abspath(path), record.ROOT]) == record.ROOT:
         about['folder'] = os.path.relpath(path, record.ROOT)
     found = {}
     for key, name in COLUMNS.items():

@@ -62,8 +62,9 @@ def test_a_scene_with_a_soil_field_and_a_network_is_judged_on_the_same_runs(
     field, data = trained_field
     values = SimpleNamespace(
         data_path=','.join(data), model=[f'soil field={field}', f'mlp={tmp_path}/mlp'],
-        work_path=f'{tmp_path}/work', num_processes=2, output_path=f'{tmp_path}/judged.json',
+        work_path='work', num_processes=2, output_path=f'{tmp_path}/judged.json',
     )  # fmt: skip
+    monkeypatch.chdir(tmp_path)  # the folder of the work may be relative
     monkeypatch.setattr(judge.workers, 'start', lambda *_: contextlib.nullcontext(Here()))
     monkeypatch.setattr(judge, 'import_tensorflow', lambda _: None)
     with models.eagerly():
