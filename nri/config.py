@@ -50,9 +50,6 @@ class NriConfig(Settings):
     batch_size: int = number(128, 1, 100_000)
     seed: int = number(0, 0, 2**28 - 1)  # eight random streams per seed in int32
     supervised: bool = False  # train the encoder alone, with the true edges
-    # Whether no direction is special in the box that the objects move in: each sample is then
-    # turned by a multiple of 90 degrees and mirrored at random; in a plane one counts eight.
-    isotropic: bool = False
     # Whether objects act on each other along lines between them: their edges then follow from the
     # decoder, without an encoder, and `segment` frames of a window are drawn; see `nri.central`.
     central: bool = False

@@ -1,4 +1,4 @@
-"""`NriModel`: encoder and decoder behind one frozen config, saved as arrays and JSON.
+"""`NriModel`: encoder and decoder, or `Central`, behind one config, saved as arrays and JSON.
 
 A model folder holds `config.json` (settings, node names, digest of the data) and `weights.npz`
 (arrays only: no code, no pickle).
@@ -24,9 +24,9 @@ BATCH = 500  # windows at a time; fewer where objects have more than 16 sets of 
 
 
 class NriModel(snt.Module):
-    """Encoder, decoder and the normalisation of their features, `offset` and `scale`, float32
-    [1 or V, F] of `data.normalization`. ValueError: too few or too many nodes, or a normalisation
-    that is not one of them."""
+    """Encoder and decoder, or `central`, and the normalisation of their features, `offset` and
+    `scale`, float32 [1 or V, F] of `data.normalization`. ValueError: too few or too many nodes, or
+    a normalisation that is not one of them."""
 
     def __init__(self, config: NriConfig, node_names, offset, scale, data_digest, name='nri'):
         super().__init__(name=name)

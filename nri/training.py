@@ -24,7 +24,7 @@ from pca_tools.storage import folder_lock
 
 HISTORY_FILE, METRICS_FILE = 'history.json', 'metrics.json'
 # Independent random streams of one (seed, step).
-_TRAIN_STREAM, _VALID_STREAM, _TURN_STREAM = 1, 2, 3
+_TRAIN_STREAM, _VALID_STREAM = 1, 2
 
 
 class LateDecay(tf.keras.optimizers.schedules.LearningRateSchedule):
@@ -44,30 +44,17 @@ class LateDecay(tf.keras.optimizers.schedules.LearningRateSchedule):
         return {}
 
 
-def turned(features: tf.Tensor, seed: tf.Tensor) -> tf.Tensor:
-    """Exchanges and reverses the axes of each run at random, by a symmetry of its box: of features,
-    float32 [B, V, T, 2 D], positions around its middle, then velocities; seed int32 [2]."""
-    batch, n_node, n_frame, n_feature = features.shape
-    dim = n_feature // 2
-    draws = tf.random.stateless_uniform([batch, 2, dim], seed)
-    halves = tf.reshape(features, [batch, n_node, n_frame, 2, dim])
-    halves = tf.gather(halves, tf.argsort(draws[:, 0]), axis=4, batch_dims=1)
-    signs = tf.where(draws[:, 1] < 0.5, -1.0, 1.0)
-    return tf.reshape(halves * signs[:, None, None, None], features.shape)
-
-
 class Trainer:
     """Data held in memory, optimiser and the compiled step. Every window of every run is a sample;
     an epoch is all of them once, in random order. ValueError: supervised training without edges, or
-    modes as isotropic."""
+    modes for central forces."""
 
     def __init__(self, model: NriModel, train: NriData):
         self.model, self.config = model, model.config
         if self.config.supervised and train.edges is None:
             raise ValueError(f'{train.source}: has no true edges, so training cannot be supervised')
-        for name in ('isotropic', 'central'):
-            if getattr(self.config, name) and not train.same_scale:
-                raise ValueError(f'{train.source}: modes have no directions; leave out --{name}')
+        if self.config.central and not train.same_scale:
+            raise ValueError(f'{train.source}: modes have no directions; leave out --central')
         n_run, n_node, n_frame, n_feature = train.features.shape
         self._n_start = n_frame - self.config.span + 1
         self.n_sample = n_run * self._n_start
@@ -106,8 +93,6 @@ class Trainer:
             run, start = samples // self._n_start, samples % self._n_start
             frames = tf.gather(self._frames, (run * self._n_frame + start)[:, None] + offsets)
             features = tf.transpose(frames, [0, 2, 1, 3])
-            if config.isotropic:
-                features = turned(features, tf.stack([config.seed * 8 + _TURN_STREAM, step]))
             edges = None if self._edges is None else tf.gather(self._edges, run)
             with tf.GradientTape() as tape:
                 values = model.losses(

@@ -32,9 +32,8 @@ PUBLISHED = {
     ('charged', 5): 0.821,
     ('charged', 10): 0.708,
 }
-# A constant, high rate until the edges are found, then a late decay; small batches; the box has no
-# special direction.
-RECIPE = {'hidden': 64, 'batch_size': 64, 'learning_rate': 1e-3, 'isotropic': True}
+# A constant, high rate until the edges are found, then a late decay; small batches.
+RECIPE = {'hidden': 64, 'batch_size': 64, 'learning_rate': 1e-3}
 # Charges attract or repel each other: both types send messages, where of springs the first one
 # stands for no spring (`skip_first`); they may know that forces are mutual (`symmetric`).
 OF_SYSTEM = {'charged': {'symmetric': True, 'skip_first': False}}
@@ -49,7 +48,7 @@ BUDGETS = {
 }  # fmt: skip
 # Of `--central`, for all systems: four minutes of a core with five objects, 20 with ten.
 CENTRAL = 8000, {
-    'central': True, 'isotropic': False, 'learning_rate': 2e-3, 'segment': 16, 'epochs': 16,
+    'central': True, 'learning_rate': 2e-3, 'segment': 16, 'epochs': 16,
     'decay_start': 10, 'decay_epochs': 2,
 }  # fmt: skip
 CURVE = ('epoch', 'seconds', 'train_loss', 'loss', 'accuracy')  # of a history of training

@@ -10,6 +10,7 @@ from scipy import special, stats
 
 from nri import central, networks
 from nri.config import NriConfig, log_prior
+from nri.model import load_model
 from nri.training import Trainer
 from tests.nri import small
 
@@ -136,7 +137,7 @@ def test_losses_have_the_gradient_of_the_evidence():
 
 
 @pytest.mark.xla
-def test_edges_of_springs_are_found():
+def test_edges_of_springs_are_found_and_a_saved_model_finds_the_same(tmp_path):
     held, new = (small.springs(n_run=n, n_frame=49, seed=n) for n in (512, 128))
     model = small.model(held, central=True, hidden=16, window=49, segment=16, learning_rate=5e-3)
     trainer = Trainer(model, held)
@@ -145,6 +146,9 @@ def test_edges_of_springs_are_found():
         trainer.step(step)
     found = trainer.evaluate(new)
     assert first < 0.6 and found['accuracy'] > 0.97 and found['status'] == 'OK'
+    model.save(str(tmp_path))
+    again = load_model(str(tmp_path)).edge_probabilities(new.features)
+    np.testing.assert_array_equal(again, model.edge_probabilities(new.features))
 
 
 def test_too_many_objects_and_labels_are_refused():

@@ -1,7 +1,6 @@
 """Training: resume to the bit, what is learned, alarms, refusals."""
 
 import dataclasses
-import itertools
 import shutil
 
 import numpy as np
@@ -111,31 +110,16 @@ def test_a_step_sees_the_window_of_its_sample(monkeypatch):
     np.testing.assert_array_equal(edges, held.edges[[1, 3]])
 
 
-def test_isotropic_runs_are_turned_and_mirrored_each_in_its_way(monkeypatch):
-    held = small.springs(n_run=64, n_frame=17)
-    plain = tf.constant(held.features)
-    after = training.turned(plain, tf.constant([3, 5])).numpy()
-    images = np.stack([
-        held.features[..., [x, 1 - x, 2 + x, 3 - x]] * np.tile(signs, 2)
-        for x in (0, 1) for signs in itertools.product((-1, 1), repeat=2)
-    ])  # fmt: skip
-    same = (images == after).all(axis=(2, 3, 4))  # [images, runs]
-    assert (same.sum(axis=0) == 1).all() and same.any(axis=1).all()
-    np.testing.assert_array_equal(training.turned(plain, tf.constant([3, 5])), after)
-    assert (training.turned(plain, tf.constant([3, 6])).numpy() != after).any()
-    model = small.model(held, batch_size=4, isotropic=True)
-    features, _ = given_to_the_losses(Trainer(model, held), [0] * 4, monkeypatch)
-    assert len(np.unique(features, axis=0)) > 1
-    modes = dataclasses.replace(held, same_scale=False)
-    for name in ('isotropic', 'central'):
-        with pytest.raises(ValueError, match=f'modes have no directions; leave out --{name}'):
-            Trainer(small.model(modes, **{name: True}), modes)
+def test_modes_have_no_central_forces():
+    held = dataclasses.replace(small.springs(n_run=4), same_scale=False)
+    with pytest.raises(ValueError, match='modes have no directions; leave out --central'):
+        Trainer(small.model(held, central=True), held)
 
 
 @pytest.mark.parametrize(
     'settings',
     [
-        {'isotropic': True, 'symmetric': True, 'no_edge_prior': 0.9},
+        {'symmetric': True, 'no_edge_prior': 0.9},
         {'skip_first': False, 'edge_types': 3},
         {'supervised': True},
         {'central': True, 'symmetric': True, 'skip_first': False, 'no_edge_prior': 0.6},

@@ -25,5 +25,7 @@ def test_every_system_has_settings():
     for system, n_objects in nri_proof.PUBLISHED:
         counts, config = nri_proof.settings_of(system, n_objects)
         assert counts['train'] >= 10000 and config.decay_start < config.epochs
+        _, central = nri_proof.settings_of(system, n_objects, central=True)
+        assert central.central and not config.central
         # Only charges act on each other whatever their type.
-        assert config.skip_first == (system != 'charged')
+        assert config.skip_first == central.skip_first == (system != 'charged')
