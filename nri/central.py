@@ -2,20 +2,24 @@
 
 An object moves by itself and by the sum of what others do to it (letters as in nri/README.md):
 
-    x_i(t+1) = x_i(t) + u(x_i(t)) + sum_j f_{z_ij}(x_i(t), x_j(t)) + e                     (5)
-    f_k = [a d + b w, c d + g w],     (a, b, c, g) = h_k(|d|, |w|, angle of d and w)
+    x_i(t+1) = x_i(t) + u(x_i(t)) + sum_(j != i) f_(z_ij)(x_i(t), x_j(t)) + e              (5)
+    f_k = [a d + b w, c d + g w],     (a, b, c, g) = h_k(|D|, |W|, d . w)
 
-d and w are the unit vectors of place and velocity of j from i. With an f of all coordinates a type
-may stand for attraction in one direction or place and for repulsion in another; training then ends
-there. The error e has a Student distribution, as two objects that meet cannot be predicted. So the
-types of all edges to one receiver have an exact posterior, a table of K^(V - 1) values:
+D and W are place and velocity of j from i, d = D / |D|, w = W / |W|. With an f of all coordinates a
+type may stand for attraction in one direction or place and for repulsion in another; training then
+ends there. The error e has a Student distribution, as two objects that meet cannot be predicted. So
+the types of all edges to one receiver have a posterior that is a table of K^(V - 1) values:
 
-    log q(z_i1 ... z_iV) = sum_t log p(x_i(t+1) | x(t), z_i1 ... z_iV) + log p(z) + const   (6)
+    log q(z_ij for all j) = sum_t log p(x_i(t+1) | x(t), z_ij for all j) + log p(z) + const   (6)
 
-Where both directions of a pair share a type, receivers tell each other what they know of it (belief
-propagation: Pearl 1988, Probabilistic Reasoning in Intelligent Systems). Training is expectation
-maximisation: (6) with the networks of this step, then a step up its mean log likelihood.
+Where both directions of a pair share a type, receivers tell each other what they know of it: some
+rounds of belief propagation (Pearl 1988, Probabilistic Reasoning in Intelligent Systems), which is
+not exact in graphs with loops. Training is a generalised expectation maximisation: (6) by the
+networks of this step, then a step up the expected log likelihood. Memory grows as runs in a batch
+x frames x V x K^(V - 1).
 """
+
+import math
 
 import numpy as np
 import sonnet as snt
@@ -23,13 +27,13 @@ import tensorflow as tf
 
 from nri import networks
 
-MAX_SETS = 4096  # K^(V - 1)
+MAX_SETS = 1024  # K^(V - 1)
 FREEDOM = 3.0  # degrees, of the Student distribution
 SOFT = 1e-4  # added to squares of lengths, in normalised units
-ROUNDS, DAMPING, LARGEST = 5, 0.5, 20.0  # of belief propagation: |log odds| of a message
+ROUNDS, DAMPING, LEAST_TOLD = 5, 0.5, -20.0  # of belief propagation: log share of a message
 # The scale of e is exp(FASTER s): s moves by the learning rate in a step. It begins far above the
-# errors, so that the posterior is undecided at first.
-FASTER = 10.0
+# errors, so that the posterior is undecided at first. What does not move at all has the least one.
+FASTER, LEAST_SCALE = 10.0, 1e-6
 
 
 def _from_zero(widths, name):
@@ -55,9 +59,10 @@ class Central(snt.Module):
             )
         sets = np.arange(self.n_sets)[:, None] // n_types ** np.arange(n_node - 1) % n_types
         self._chosen = np.eye(n_types, dtype=np.float32)[sets]  # [C, V - 1, K]
-        self._log_prior = (self._chosen @ log_prior).sum(axis=1)
+        # An edge that two receivers share stands in the table of both.
+        self._log_prior = (self._chosen @ log_prior).sum(axis=1) / (1 + config.symmetric)
         receivers, senders = networks.pair_indices(n_node)
-        self._back = np.lexsort((receivers, senders))  # place of (j, i) for (i, j)
+        self._swapped = np.lexsort((receivers, senders))  # place of (j, i) for (i, j)
         self._symmetric, self._first = config.symmetric, int(config.skip_first)
         self._factors = [
             _from_zero([width, width, 4], f'factors_{k}') for k in range(self._first, n_types)
@@ -76,7 +81,7 @@ class Central(snt.Module):
             errors = tf.concat(
                 [errors] * self._first + [errors - act[:, :, j, None] for act in acts], axis=2
             )
-        log_scale = FASTER * self._scale
+        log_scale = tf.maximum(FASTER * self._scale, math.log(LEAST_SCALE))
         square = tf.reduce_sum((errors * tf.exp(-log_scale)) ** 2, axis=-1)
         heavy = 0.5 * (FREEDOM + n_features) * tf.math.log1p(square / FREEDOM)
         found = -heavy - tf.reduce_sum(log_scale)
@@ -102,27 +107,31 @@ class Central(snt.Module):
         n_node, n_types = table.shape[1], self._chosen.shape[2]
         told = tf.zeros([tf.shape(table)[0], n_node, n_node - 1, n_types])
         for _ in range(ROUNDS if self._symmetric else 0):
-            own = self._edges(self._sets(table, told)) - told
-            own -= tf.reduce_logsumexp(own, axis=-1, keepdims=True)
-            pairs = tf.reshape(own, [-1, n_node * (n_node - 1), n_types])
-            back = tf.reshape(tf.gather(pairs, self._back, axis=1), tf.shape(told))
-            told = (1.0 - DAMPING) * told + DAMPING * tf.maximum(back, -LARGEST)
-        log_q = self._sets(table, told)
-        return log_q, tf.reshape(self._edges(log_q), [-1, n_node * (n_node - 1), n_types])
+            back = tf.nn.log_softmax(self._back(self._edges(table, told) - told))
+            told = (1.0 - DAMPING) * told + DAMPING * tf.maximum(back, LEAST_TOLD)
+        edges = self._edges(table, told) - told
+        if self._symmetric:
+            edges += self._back(edges)
+        log_q = tf.nn.log_softmax(table + tf.einsum('bvjk,cjk->bvc', told, self._chosen))
+        return log_q, tf.reshape(edges, [-1, n_node * (n_node - 1), n_types])
 
-    def _sets(self, table, told):
-        """log q of the sets, with what is told of their edges [B, V, V - 1, K]."""
-        log_q = table + tf.einsum('bvjk,cjk->bvc', told, self._chosen)
-        return log_q - tf.reduce_logsumexp(log_q, axis=-1, keepdims=True)
+    def _edges(self, table, told):
+        """Log shares, up to a constant, of each type of each edge [B, V, V - 1, K], in sets with
+        the log weights of a table [B, V, C] and with what is told of their edges."""
+        sets = table + tf.einsum('bvjk,cjk->bvc', told, self._chosen)
+        shut = tf.constant(np.where(self._chosen, 0.0, -np.inf).astype(np.float32))
+        return tf.reduce_logsumexp(sets[..., None, None] + shut, axis=2)
 
-    def _edges(self, log_q):
-        """Log probabilities of edges [B, V, V - 1, K]."""
-        shares = tf.einsum('bvc,cjk->bvjk', tf.exp(log_q), self._chosen)
-        return tf.math.log(tf.maximum(shares, tf.exp(-1.5 * LARGEST)))
+    def _back(self, edges):
+        """Values of (j, i) at (i, j): [B, V, V - 1, K]."""
+        n_node, n_types = edges.shape[1], edges.shape[3]
+        pairs = tf.reshape(edges, [-1, n_node * (n_node - 1), n_types])
+        return tf.reshape(tf.gather(pairs, self._swapped, axis=1), tf.shape(edges))
 
     def losses(self, frames, after) -> tuple[tf.Tensor, tf.Tensor]:
         """Negative expected log likelihood, per object and frame, and the divergence of q from the
-        prior, per object, of [B, n, V, F]; q has no gradient."""
+        prior, per object, of [B, n, V, F]; q has no gradient. With `symmetric` each end counts what
+        it knows of an edge."""
         each = self.log_likelihoods(frames, after)
         total = tf.reduce_sum(each, axis=1)
         log_q, _ = self.posterior(tf.stop_gradient(total))

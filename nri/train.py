@@ -10,6 +10,12 @@ Examples:
       --hidden=64 --batch_size=64 --learning_rate=1e-3 --epochs=180 --decay_start=100 \\
       --decay_epochs=10
 
+  # the same without an encoder, as springs act along lines between objects: 8000 runs give
+  # 99.99 % in three minutes
+  python -m nri.train --data_path=/tmp/springs5 --model_path=/tmp/nri_central --central \\
+      --hidden=64 --batch_size=64 --learning_rate=2e-3 --segment=16 --epochs=16 --decay_start=10 \\
+      --decay_epochs=2
+
   # the encoder alone with the true edges: what the trajectories tell at all, in a minute
   python -m nri.train --supervised --data_path=/tmp/springs5 --model_path=/tmp/nri_supervised \\
       --hidden=64 --epochs=5

@@ -20,6 +20,7 @@ import os
 from absl import flags
 from matplotlib.figure import Figure
 
+from learning_to_simulate import command
 from nri import simulate
 from nri.config import NriConfig
 from pca_tools import files
@@ -151,6 +152,7 @@ def define_flags():
 
 def main(given) -> None:
     os.makedirs(given.output_path, exist_ok=True)
+    command.import_tensorflow(1)  # one core, as the table says
     counts, config = settings_of(given.system, given.n_objects, given.central)
     result, *others = (
         run(given.system, given.n_objects, given.work_path, counts,
@@ -158,10 +160,9 @@ def main(given) -> None:
         for seed in range(given.num_seeds)
     )  # fmt: skip
     result['other_seeds'] = [other['test_accuracy'] for other in others]
-    name = f'nri_{given.system}{given.n_objects}' + (
-        '_gpu' if given.model_path else '_central' if given.central else ''
-    )
+    name = f'nri_{given.system}{given.n_objects}' + '_central' * given.central
+    name += '_gpu' * bool(given.model_path)
     stem = os.path.join(given.output_path, name)
-    files.write_json(f'{stem}.json', record.provenance() | result)
+    files.write_json(f'{stem}.json', record.provenance(1) | result)
     draw(result, f'{stem}.png')
     print(f'wrote {stem}.json and .png: {result["test_accuracy"]:.2%} of the edges right')
