@@ -30,7 +30,7 @@ from nri import networks
 MAX_SETS = 1024  # K^(V - 1)
 FREEDOM = 3.0  # degrees, of the Student distribution
 SOFT = 1e-4  # added to squares of lengths, in normalised units
-ROUNDS, DAMPING, LEAST_TOLD = 5, 0.5, -20.0  # of belief propagation: log share of a message
+ROUNDS, DAMPING, LEAST_MESSAGE = 5, 0.5, -20.0  # of belief propagation, whose messages are logs
 # The scale of e is exp(FASTER s): s moves by the learning rate in a step. It begins far above the
 # errors, so that the posterior is undecided at first. What does not move at all has the least one.
 FASTER, LEAST_SCALE = 10.0, 1e-6
@@ -45,8 +45,9 @@ def _from_zero(widths, name):
 
 class Central(snt.Module):
     """Networks of (5), and the posterior (6) of V objects with F features: D coordinates of their
-    place, then D of their velocity, normalised. ValueError: more than `MAX_SETS` sets of types of
-    one receiver's edges."""
+    place, then D of their velocity, normalised. `config` is an `NriConfig`, `log_prior` the log
+    probabilities [K] of types. ValueError: more than `MAX_SETS` sets of types of one receiver's
+    edges."""
 
     def __init__(self, n_node, n_features, config, log_prior, name='central'):
         super().__init__(name=name)
@@ -105,20 +106,24 @@ class Central(snt.Module):
         [B, V (V - 1), K]."""
         table = log_likelihoods + self._log_prior
         n_node, n_types = table.shape[1], self._chosen.shape[2]
-        told = tf.zeros([tf.shape(table)[0], n_node, n_node - 1, n_types])
+        messages = tf.zeros([tf.shape(table)[0], n_node, n_node - 1, n_types])
         for _ in range(ROUNDS if self._symmetric else 0):
-            back = tf.nn.log_softmax(self._back(self._edges(table, told) - told))
-            told = (1.0 - DAMPING) * told + DAMPING * tf.maximum(back, LEAST_TOLD)
-        edges = self._edges(table, told) - told
+            back = self._back(self._edges(self._sets(table, messages)) - messages)
+            heard = tf.maximum(tf.nn.log_softmax(back), LEAST_MESSAGE)
+            messages = (1.0 - DAMPING) * messages + DAMPING * heard
+        sets = self._sets(table, messages)
+        edges = self._edges(sets) - messages
         if self._symmetric:
             edges += self._back(edges)
-        log_q = tf.nn.log_softmax(table + tf.einsum('bvjk,cjk->bvc', told, self._chosen))
-        return log_q, tf.reshape(edges, [-1, n_node * (n_node - 1), n_types])
+        return tf.nn.log_softmax(sets), tf.reshape(edges, [-1, n_node * (n_node - 1), n_types])
 
-    def _edges(self, table, told):
-        """Log shares, up to a constant, of each type of each edge [B, V, V - 1, K], in sets with
-        the log weights of a table [B, V, C] and with what is told of their edges."""
-        sets = table + tf.einsum('bvjk,cjk->bvc', told, self._chosen)
+    def _sets(self, table, messages):
+        """Log weights of the sets [B, V, C]: of their table and of messages about their edges,
+        [B, V, V - 1, K]."""
+        return table + tf.einsum('bvjk,cjk->bvc', messages, self._chosen)
+
+    def _edges(self, sets):
+        """Log weights of each type of each edge, [B, V, V - 1, K], of those of the sets."""
         shut = tf.constant(np.where(self._chosen, 0.0, -np.inf).astype(np.float32))
         return tf.reduce_logsumexp(sets[..., None, None] + shut, axis=2)
 

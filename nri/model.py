@@ -42,10 +42,10 @@ class NriModel(snt.Module):
         self._log_prior = log_prior(config.edge_types, config.no_edge_prior)
         n_node = len(self.node_names)
         frames = tf.zeros([1, n_node, config.window, n_features])
-        self.central, self.batch_size = None, BATCH
+        self.central, self.chunk = None, BATCH
         if config.central:
             self.central = Central(n_node, n_features, config, self._log_prior)
-            self.batch_size = max(1, BATCH * 16 // max(16, self.central.n_sets))
+            self.chunk = max(1, BATCH * 16 // max(16, self.central.n_sets))
             self.logits(frames, is_training=True)
         else:
             self.encode = Encoder(config.hidden, config.edge_types)
@@ -171,10 +171,10 @@ class NriModel(snt.Module):
     def window_probabilities(self, windows) -> np.ndarray:
         """Posterior of single windows: [S, V, window, F] -> float32 [S, V (V - 1), K]."""
         parts = []
-        for first in range(0, len(windows), self.batch_size):
-            batch = windows[first : first + self.batch_size]
+        for first in range(0, len(windows), self.chunk):
+            batch = windows[first : first + self.chunk]
             # A short last batch is filled up, so that nothing is compiled for it.
-            filled = np.resize(batch, (min(self.batch_size, len(windows)), *batch.shape[1:]))
+            filled = np.resize(batch, (min(self.chunk, len(windows)), *batch.shape[1:]))
             parts.append(self._probabilities(tf.constant(filled))[: len(batch)].numpy())
         return np.concatenate(parts)
 

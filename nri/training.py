@@ -113,11 +113,9 @@ class Trainer:
         config = self.config
         windows = data.features[:, :, : config.span : config.stride]
         totals: dict[str, float] = collections.defaultdict(float)
-        for first in range(0, len(windows), self.model.batch_size):
-            batch = tf.constant(windows[first : first + self.model.batch_size])
-            edges = (
-                None if data.edges is None else data.edges[first : first + self.model.batch_size]
-            )
+        for first in range(0, len(windows), self.model.chunk):
+            batch = tf.constant(windows[first : first + self.model.chunk])
+            edges = None if data.edges is None else data.edges[first : first + self.model.chunk]
             seed = tf.constant([config.seed * 8 + _VALID_STREAM, first], tf.int32)
             for name, value in self._validation_losses(batch, seed, edges).items():
                 totals[name] += float(value) * len(batch)
